@@ -154,7 +154,8 @@ def slipping(log: Log) -> Log:
 
         def one(angle: Floats) -> Floats:
             factors = 1.0 + 0.1 * np.interp(t, at, rng.normal(size=len(at)))
-            return np.cumsum(np.diff(angle, prepend=angle[:1]) * factors) + angle[0]
+            turned: Floats = np.cumsum(np.diff(angle, prepend=angle[:1]) * factors) + angle[0]
+            return turned
 
         return one(left), one(right)
 
