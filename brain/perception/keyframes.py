@@ -379,8 +379,8 @@ class Keyframes:
             return None
         start = np.array([predicted.x, predicted.y, predicted.yaw])
         prior: Floats = np.asarray(np.linalg.inv(noise), dtype=np.float64)
-        lone = min(len(points) / max(int(np.count_nonzero(scan.hit)), 1), 1.0)
-        sigma = scan.noise * math.sqrt(lone * (1.0 - lone))  # what lines through several hits do not show
+        hits = max(int(np.count_nonzero(scan.hit)), len(points))
+        sigma = scan.noise * math.sqrt(len(points) / hits)  # lines through several hits share their errors
         best = fit(self._local, points, normals, start, prior, settings, sigma=sigma)
         if best is None or best.share < BAD:
             for turn in HEADINGS:
