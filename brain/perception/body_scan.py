@@ -4,7 +4,8 @@ Rules. All is expressed in the robot's frame at the scan's end, about the place 
 range below range_min, zero, or not finite is no reading: nothing is known along that beam. Beams without a
 hit end at the largest range that is used. The surface at a hit is the line through the hits beside it, fitted
 where they are straight (least squares across): it is finer than a single range, and belongs to the scan, not
-to a pose, so that drawing and matching share it.
+to a pose, so that drawing and matching share it. How noisy ranges are the scan shows itself: on a wall each
+hit lies on the line through the two beside it. The noisier, the longer the surface that is fitted.
 """
 
 from __future__ import annotations
@@ -145,14 +146,12 @@ STRAIGHT = 0.02
 """Hits form a line if their variance across it is below this share of the variance along it"""
 STEEP = 0.2
 """Cosine between a surface's normal and the beam below which it rather is the gap between two surfaces"""
-
-
 STEP_UP = (0.05, 6.0)
 """m, and times the noise of a range, by which neighbouring ranges of one surface may differ besides"""
-FEWEST, LOW, OF_LOW, LOUDEST = 12, 25.0, 2.05, 0.3
-"""Least number of hits that show the noise; percentile of how far they are off the line through the two
-beside them; the standard deviation of a range, in those, where a fifth is beside corners and edges; m, at
-most"""
+FEWEST, LOW, OF_LOW, LOUDEST = 50, 25.0, 2.05, 0.3
+"""Least number of hits that show the noise, since too many of few are beside corners; percentile of how far
+they are off the line through the two beside them; the standard deviation of a range, in those, if a fifth
+is beside corners and edges; m, at most"""
 
 
 def _with_surfaces(
