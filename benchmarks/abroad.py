@@ -129,16 +129,37 @@ def rarer(step: int) -> Change:
     return change
 
 
-def noisy(log: Log) -> Log:
-    """Noise of 0.03 m more on each range."""
+def noisy(sigma: float) -> Change:
+    """Noise of so many m more on each range."""
+
+    def change(log: Log) -> Log:
+        rng = np.random.Generator(np.random.PCG64(1))
+
+        def one(scan: LaserScan) -> LaserScan:
+            ranges = np.array(scan.ranges)
+            ranges += np.where(ranges < scan.range_max, sigma * rng.normal(size=len(ranges)), 0.0)
+            return replace(scan, ranges=tuple(np.clip(ranges, 0.0, scan.range_max).tolist()))
+
+        return seen(log, one)
+
+    return change
+
+
+def slipping(log: Log) -> Log:
+    """Odometry whose wheels slip by a tenth of their way (standard deviation), each anew every second."""
     rng = np.random.Generator(np.random.PCG64(1))
 
-    def change(one: LaserScan) -> LaserScan:
-        ranges = np.array(one.ranges)
-        ranges += np.where(ranges < one.range_max, 0.03 * rng.normal(size=len(ranges)), 0.0)
-        return replace(one, ranges=tuple(np.clip(ranges, 0.0, one.range_max).tolist()))
+    def change(t: Floats, left: Floats, right: Floats) -> tuple[Floats, Floats]:
+        at = np.arange(t[0], t[-1] + 2.0)
 
-    return seen(log, change)
+        def one(angle: Floats) -> Floats:
+            factors = 1.0 + 0.1 * np.interp(t, at, rng.normal(size=len(at)))
+            turned: Floats = np.cumsum(np.diff(angle, prepend=angle[:1]) * factors) + angle[0]
+            return turned
+
+        return one(left), one(right)
+
+    return rolled(log, change)
 
 
 def mirrored(log: Log) -> Log:
@@ -163,7 +184,10 @@ CHANGES: dict[str, Change] = {
     "lag 0.05": lagging(0.05), "lag 0.1": lagging(0.1), "lag 0.2": lagging(0.2), "lag -0.1": lagging(-0.1),
     "scaled 0.95": scaled(0.95, 0.95), "scaled 1.05": scaled(1.05, 1.05), "one wheel": scaled(1.03, 1.04),
     "drifting": drifting, "jittered": jittered, "thinned 2": thinned(2), "thinned 4": thinned(4),
-    "near 8": near(8.0), "rarer 2": rarer(2), "rarer 3": rarer(3), "noisy": noisy,
+    "thinned 8": thinned(8), "near 8": near(8.0), "near 5": near(5.0),
+    "rarer 2": rarer(2), "rarer 3": rarer(3),
+    "noisy 0.03": noisy(0.03), "noisy 0.05": noisy(0.05), "noisy 0.1": noisy(0.1), "noisy 0.2": noisy(0.2),
+    "slipping": slipping,
     "mirrored": mirrored, "backward": backward,
 }  # fmt: skip
 """What a log may be like, by name: made of another one, in memory"""

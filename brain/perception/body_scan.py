@@ -4,7 +4,8 @@ Rules. All is expressed in the robot's frame at the scan's end, about the place 
 range below range_min, zero, or not finite is no reading: nothing is known along that beam. Beams without a
 hit end at the largest range that is used. The surface at a hit is the line through the hits beside it, fitted
 where they are straight (least squares across): it is finer than a single range, and belongs to the scan, not
-to a pose, so that drawing and matching share it.
+to a pose, so that drawing and matching share it. How noisy ranges are the scan shows itself: on a wall each
+hit lies on the line through the two beside it. The noisier, the longer the surface that is fitted.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ class BodyScan:
     """n × 2, m: mean of those neighbours, a point on the line; undefined where not straight"""
     normals: Floats
     """n × 2: unit normal of that line, towards the lidar; undefined where not straight"""
+    noise: float
+    """m: standard deviation of a range, as the scan itself shows it; 0 if too few hits do"""
 
     def place(self, pose: Pose) -> tuple[float, float]:
         """Return where the lidar is, with the robot at a pose."""
@@ -85,8 +88,7 @@ class PackedScan:
         hit = np.unpackbits(self.hit, count=len(ranges)).astype(np.bool_)
         x = self.origin[0] + ranges * np.cos(bearings)
         ends = np.column_stack([x, self.origin[1] + ranges * np.sin(bearings)])
-        surfaces = _surfaces(self.origin, bearings, ranges, hit, ends)
-        return BodyScan(self.origin, bearings, ranges, hit, ends, *surfaces)
+        return _with_surfaces(self.origin, bearings, ranges, hit, ends)
 
 
 def to_body(
@@ -120,7 +122,7 @@ def to_body(
     if (bearings[1:] < bearings[:-1]).any():
         order = np.argsort(bearings, kind="stable")
         bearings, lengths, hit, ends = bearings[order], lengths[order], hit[order], ends[order]
-    return BodyScan(origin, bearings, lengths, hit, ends, *_surfaces(origin, bearings, lengths, hit, ends))
+    return _with_surfaces(origin, bearings, lengths, hit, ends)
 
 
 def to_world(points: Floats, pose: Pose) -> Floats:
@@ -137,23 +139,52 @@ def rotated(vectors: Floats, angle: float) -> Floats:
     return turned
 
 
-SPAN = 0.2
-"""m to each side of a hit: the surface that is fitted, at least one hit to each side"""
+SPAN, SPAN_NOISE = 0.2, 10.0
+"""m to each side of a hit: the surface that is fitted, at least one hit to each side; and at least so many
+times the noise of a range"""
 STRAIGHT = 0.02
 """Hits form a line if their variance across it is below this share of the variance along it"""
 STEEP = 0.2
 """Cosine between a surface's normal and the beam below which it rather is the gap between two surfaces"""
+STEP_UP = (0.05, 6.0)
+"""m, and times the noise of a range, by which neighbouring ranges of one surface may differ besides"""
+FEWEST, LOW, OF_LOW, LOUDEST = 50, 25.0, 2.05, 0.3
+"""Least number of hits that show the noise, since too many of few are beside corners; percentile of how far
+they are off the line through the two beside them; the standard deviation of a range, in those, if a fifth
+is beside corners and edges; m, at most"""
+
+
+def _with_surfaces(
+    origin: tuple[float, float], bearings: Floats, ranges: Floats, hit: Bools, ends: Floats
+) -> BodyScan:
+    noise = _noise(bearings, ranges, hit)
+    surfaces = _surfaces(origin, bearings, ranges, hit, ends, noise)
+    return BodyScan(origin, bearings, ranges, hit, ends, *surfaces, noise)
+
+
+def _noise(bearings: Floats, ranges: Floats, hit: Bools) -> float:
+    """Return the standard deviation of a range [m]: on a wall each lies on the line through the two beside
+    it, however the wall lies."""
+    middle = np.flatnonzero(hit[1:-1] & hit[:-2] & hit[2:]) + 1
+    if len(middle) < FEWEST:
+        return 0.0
+    before, after = ranges[middle - 1], ranges[middle + 1]
+    came, goes = bearings[middle] - bearings[middle - 1], bearings[middle + 1] - bearings[middle]
+    across = before * np.sin(came) + after * np.sin(goes)
+    off = np.abs(ranges[middle] - before * after * np.sin(came + goes) / np.maximum(across, 1e-9))
+    return min(OF_LOW * float(np.percentile(off, LOW)), LOUDEST)
 
 
 def _surfaces(
-    origin: tuple[float, float], bearings: Floats, ranges: Floats, hit: Bools, ends: Floats
+    origin: tuple[float, float], bearings: Floats, ranges: Floats, hit: Bools, ends: Floats, noise: float
 ) -> tuple[Bools, Floats, Floats]:
     """Return where the hits lie on a straight surface, a point on it, and its normal."""
     count = len(ranges)
     if count < 3:
         return np.zeros(count, dtype=np.bool_), np.zeros((count, 2)), np.zeros((count, 2))
     spacing = ranges * ((bearings[-1] - bearings[0]) / (count - 1))
-    half = np.minimum(np.maximum(SPAN / np.maximum(spacing, 1e-6), 1.0), count / 8 + 1).astype(np.intp)
+    span = max(SPAN, SPAN_NOISE * noise)
+    half = np.minimum(np.maximum(span / np.maximum(spacing, 1e-6), 1.0), count / 8 + 1).astype(np.intp)
     index = np.arange(count)
     first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, count)
     sums = np.zeros((7, count + 1))
@@ -164,7 +195,9 @@ def _surfaces(
     np.multiply(y, y, out=yy)
     np.multiply(x, y, out=xy)
     before = np.maximum.accumulate(np.where(hit, index, 0))[:-1]  # a beam without a reading is no jump
-    away = np.abs(ranges[1:] - ranges[before]) > 0.05 + spacing[1:] * (index[1:] - before) / STEEP
+    away = np.abs(ranges[1:] - ranges[before]) > max(STEP_UP[0], STEP_UP[1] * noise) + (
+        spacing[1:] * (index[1:] - before) / STEEP
+    )
     jump[:-1] = hit[1:] & hit[before] & away
     np.cumsum(sums, axis=1, out=sums)
     number, x, y, xx, yy, xy, _ = sums.take(last, axis=1) - sums.take(first, axis=1)
@@ -174,7 +207,9 @@ def _surfaces(
     xx, yy, xy = xx * share - x * x, yy * share - y * y, xy * share - x * y
     middle, difference = 0.5 * (xx + yy), 0.5 * (xx - yy)
     root = np.sqrt(difference * difference + xy * xy)
-    straight = hit & (number >= 3.0) & (jumps == 0.0) & (middle - root < STRAIGHT * (middle + root))
+    scatter = noise * noise * np.maximum(1.0 - 2.0 * share, 0.0)
+    straight = hit & (number >= 3.0) & (jumps == 0.0)
+    straight &= middle - root < STRAIGHT * (middle + root) + scatter
     across = 0.5 * np.arctan2(xy, difference) + 0.5 * math.pi
     nx, ny = np.cos(across), np.sin(across)
     towards = -(nx * x + ny * y)

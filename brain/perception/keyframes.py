@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from brain.belief import Floats, Pose
 from brain.bodies.plane import seen_from, wrap
-from brain.perception.body_scan import BodyScan, Bools, PackedScan, rotated, to_world
+from brain.perception.body_scan import STEP_UP, BodyScan, Bools, PackedScan, rotated, to_world
 from brain.perception.match import OPEN, inverted
 from brain.perception.saved_keyframes import SavedKeyframe
 from brain.perception.saved_map import SavedMap
@@ -87,6 +87,8 @@ HEADINGS, LOOSE = (-0.2, 0.2, -0.1, 0.1, -0.4, 0.4), 0.05
 GAP, GRAZING, LONGEST = (0.06, 3.5), 0.12, 0.3
 """m, and times the beams' spacing: hits farther apart are of two surfaces; cosine between normal and beam
 below which a normal is none; m that two surfaces may be apart along the scan, at most"""
+CLEAR = 5.0
+"""Times the noise of a range, that two hits must be apart to show how a surface lies"""
 HOLD = 0.02
 """Share of the surfaces by which a direction is held, below which it is open: the scatter of their own
 directions would pass for it, as in a bare corridor"""
@@ -199,10 +201,12 @@ def fit(
     prior: Floats,
     settings: KeyframeSettings,
     wide: float = 0.0,
+    sigma: float = 0.0,
 ) -> Fit | None:
     """Return where surfaces fit a local map, searched from a pose; `prior`: its information, 3 × 3; `wide`:
-    m, the first search distance, if another than the settings'. None if too few lie near the map's."""
-    x, reach = start, wide or settings.wide
+    m, the first search distance, if another than the settings'; `sigma`: m, standard deviation of a surface's
+    distance, if it is known to be more. None if too few lie near the map's."""
+    x, reach, least = start, wide or settings.wide, max(settings.sigma, sigma)
     for number in range(settings.steps):
         yaw = float(x[2])
         c, s = math.cos(yaw), math.sin(yaw)
@@ -221,7 +225,7 @@ def fit(
         off = ((at[found, :2] - local.points[nearest]).T * lines).sum(axis=0)
         size = np.abs(off)
         weight = 1.0 / (1.0 + (off / max(ROBUST, 0.25 * reach)) ** 2)
-        variance = max(settings.sigma, float(size.sum()) / len(size)) ** 2
+        variance = max(least, float(size.sum()) / len(size)) ** 2
         weighted = J * (weight / variance)
         information = weighted @ J.T
         apart = x - start
@@ -375,11 +379,13 @@ class Keyframes:
             return None
         start = np.array([predicted.x, predicted.y, predicted.yaw])
         prior: Floats = np.asarray(np.linalg.inv(noise), dtype=np.float64)
-        best = fit(self._local, points, normals, start, prior, settings)
+        hits = max(int(np.count_nonzero(scan.hit)), len(points))
+        sigma = scan.noise * math.sqrt(len(points) / hits)  # lines through several hits share their errors
+        best = fit(self._local, points, normals, start, prior, settings, sigma=sigma)
         if best is None or best.share < BAD:
             for turn in HEADINGS:
                 turned = start + np.array([0.0, 0.0, turn])
-                other = fit(self._local, points, normals, turned, LOOSE * prior, settings)
+                other = fit(self._local, points, normals, turned, LOOSE * prior, settings, sigma=sigma)
                 if other is not None and (best is None or other.share > best.share + BETTER):
                     best = other
         if best is None:
@@ -433,7 +439,10 @@ def _rough(scan: BodyScan) -> tuple[Floats, Floats, Bools]:
     count = len(scan.ranges)
     here = np.arange(count)
     left, right = np.maximum(here - 1, 0), np.minimum(here + 1, count - 1)
-    apart = GAP[0] + GAP[1] * abs(scan.bearings[-1] - scan.bearings[0]) / max(count - 1, 1) * scan.ranges
+    apart = (
+        max(GAP[0], STEP_UP[1] * scan.noise)
+        + GAP[1] * abs(scan.bearings[-1] - scan.bearings[0]) / max(count - 1, 1) * scan.ranges
+    )
     after = np.hypot(*(scan.ends[right] - scan.ends).T)
     goes_on = scan.hit & scan.hit[right] & (after < apart) & (right > here)
     came = np.concatenate(([False], goes_on[:-1]))
@@ -446,5 +455,5 @@ def _rough(scan: BodyScan) -> tuple[Floats, Floats, Bools]:
     beams = scan.ends - scan.origin
     away = (normals * beams).sum(axis=1)
     normals *= np.where(away > 0.0, -1.0, 1.0)[:, None]
-    known = (came | goes_on) & (length > 0.0) & (np.abs(away) > GRAZING * scan.ranges)
+    known = (came | goes_on) & (length > CLEAR * scan.noise) & (np.abs(away) > GRAZING * scan.ranges)
     return scan.ends.copy(), normals, known

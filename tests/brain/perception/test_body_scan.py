@@ -112,6 +112,29 @@ def test_surfaces_are_finer_than_ranges_and_end_at_corners() -> None:
     assert not (swept.straight & corners & (swept.ranges > 1.3)).any()
 
 
+@pytest.mark.parametrize(("sigma", "beams"), [(0.003, 360), (0.03, 360), (0.1, 360), (0.2, 360), (0.03, 90)])
+def test_a_scan_shows_the_noise_of_its_ranges(sigma: float, beams: int) -> None:
+    random = np.random.Generator(np.random.PCG64(2))
+    for place in (Pose(0.0, 0.0, 0.3), Pose(2.6, 3.4, 1.0), Pose(5.2, -0.8, -2.0)):
+        read = scan_at(OFFICE, place, Mount(), 0, sigma * random.normal(size=beams), beams)
+        assert 0.75 * sigma < to_body(read, Mount()).noise < 1.2 * sigma
+
+
+def test_the_noisier_the_ranges_the_longer_the_surfaces_that_are_fitted() -> None:
+    """At 0.1 m they lie as the walls do; two hits beside each other would show any direction."""
+    random = np.random.Generator(np.random.PCG64(1))
+    walls = np.array(box(-4.0, -3.0, 5.0, 3.0))
+    read = scan_at(walls, Pose(0.0, 0.0, 0.0), Mount(), 0, 0.1 * random.normal(size=360))
+    swept = to_body(read, Mount())
+    middles, normals = swept.middles[swept.straight], swept.normals[swept.straight]
+    assert len(middles) > 200
+    away = np.min([_away(middles, wall) for wall in walls], axis=0)
+    assert math.sqrt(np.mean(away**2)) < 0.04
+    tilt = np.abs(normals).min(axis=1)
+    assert np.median(tilt) < 0.06
+    assert np.quantile(tilt, 0.9) < 0.25
+
+
 def test_what_lies_behind_one_another_is_no_surface() -> None:
     """Ends of posts in a row along the beams, and single ones, have no surface."""
     swept = to_body(scan(*(1.0 + 0.3 * (i % 3) for i in range(60)), increment=0.02), Mount())

@@ -164,6 +164,14 @@ def test_a_lidar_may_turn_either_way(way: int) -> None:
     assert there.perception.rejected["lidar"] < 5
 
 
+def test_a_noisy_lidar_is_no_reason_to_be_lost() -> None:
+    """0.2 m on each range. Defect: hardly any of a scan lay on what the scans before saw; it ended lost."""
+    noisy = drive(Rover(2, lidar_noise=0.2), TOUR[:4])
+    assert "does not fit the map" not in noisy.perception.anomalies["lidar"]
+    assert noisy.perception.verdict.trust is Trust.CONSISTENT
+    assert noisy.worst < 0.13
+
+
 def test_without_a_lidar_the_gyro_still_beats_the_wheels() -> None:
     moved = drive(Rover(2), TOUR[:6], mounts=IMU_ONLY)
     assert moved.apart < 0.6
