@@ -56,7 +56,9 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     from benchmarks.codec import codec
     from benchmarks.drive import driving
     from benchmarks.drivers import drivers
+    from benchmarks.latency import latency
     from benchmarks.lines import lines
+    from benchmarks.loops import loops
     from benchmarks.paths import paths
     from benchmarks.perceive import perceive
     from benchmarks.plans import plans
@@ -67,6 +69,8 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     return {
         "start-up and memory": processes,
         "steps": steps,
+        "loops": loops,
+        "latency": latency,
         "drivers": drivers,
         "codec": codec,
         "an adapter": bridge,

@@ -13,12 +13,13 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeAlias
 
 from benchmarks.measure import Effort, Figures, NotMeasured, figures
-from benchmarks.rows import Beside, Row, Target
+from benchmarks.rows import Beside, Row, Target, span
 from gateway import config
 from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.pty import SerialPty
@@ -27,11 +28,16 @@ from gateway.core.robot import BusSettings
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 START, MEMORY = "start-up, from nothing", "memory at the most"
+IDLE = "idle: processor time in a second, with the twins in it"
+NOTHING = "gateway run bench"
 BARE, LIBRARIES = "python -c pass", 'python -c "import can, numpy, serial"'
 PASS, IMPORTS = ("-c", "pass"), ("-c", "import can, numpy, serial")
 HELP, WORLD = "gateway --help", "gateway run diffbot --fast --seconds 10"
 UNREPORTED, LEFT_OUT = "the kernel does not report it (/proc/PID/status)", "left out by --quick"
+NO_TIMES = "the kernel does not report it (/proc/PID/task/*/schedstat)"
 ROBOTS = ("bench", "diffbot")
+SETTLING: Nanos = 2 * SECOND
+"""After which what was started is idle."""
 TIMEOUT: Nanos = 60 * SECOND
 POLL_PERIOD: Nanos = MILLISECOND
 """Period of looking for a frame."""
@@ -53,7 +59,8 @@ def processes(effort: Effort) -> list[Row]:
             held.setdefault(robot, []).append(most)
     if not effort.quick:
         held[WORLD] = [peak_until_done(("-m", *WORLD.split()))]
-    return [*_start({name: figures(times) for name, times in took.items()}), *_memory(held)]
+    start = _start({name: figures(times) for name, times in took.items()})
+    return [*start, *_memory(held), _idle(while_idle(effort.of(5, 1)))]
 
 
 def _start(took: Mapping[str, Figures]) -> list[Row]:
@@ -76,6 +83,13 @@ def _memory(held: Mapping[str, Sequence[float]]) -> list[Row]:
         else Row(MEMORY, what, None, not_run=UNREPORTED if name in held else LEFT_OUT)
         for name, what in names.items()
     ]
+
+
+def _idle(found: Sequence[float]) -> Row:
+    target, second = Target(at_most=0.03 * SECOND), (span("a second", SECOND),)
+    if not found:
+        return Row(IDLE, NOTHING, None, target=target, not_run=NO_TIMES)
+    return Row(IDLE, NOTHING, figures(found), second, target)
 
 
 # -- processes ------------------------------------------------------------------------------------
@@ -124,6 +138,31 @@ def until_first_frame(robot: str, stay: Nanos) -> tuple[Nanos, int]:
     return first, most
 
 
+def while_idle(seconds: int) -> list[float]:
+    """Return the processor time [ns] of `gateway run bench`, to which nobody says anything, in each of so
+    many seconds; [] where the kernel does not report it."""
+    clock, marks = WallClock(), list[int]()
+    with _process(("-m", *NOTHING.split()), stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        if b"is running" not in process.stdout.readline():
+            process.terminate()
+            raise NotMeasured(f"{NOTHING}: {process.communicate()[1].decode(errors='replace').strip()}")
+        began = clock.now() + SETTLING
+        for at in range(seconds + 1):
+            clock.wait(began + at * SECOND)
+            marks.append(processor_time_of(process.pid))
+    return [float(after - before) for before, after in pairwise(marks)] if all(marks) else []
+
+
+def processor_time_of(process: int) -> Nanos:
+    """Return the processor time of a live process, all threads together; 0 where it is not reported."""
+    try:
+        tasks = [each.read_text().split() for each in Path(f"/proc/{process}/task").glob("*/schedstat")]
+    except OSError:
+        return 0
+    return sum(int(ran) for ran, *_ in tasks)
+
+
 def peak(process: int) -> int:
     """Return the kernel's high-water mark of a live process's memory [B]; 0 where it is not reported."""
     try:
@@ -134,13 +173,13 @@ def peak(process: int) -> int:
 
 
 @contextmanager
-def _process(arguments: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+def _process(arguments: Sequence[str], stdout: int = subprocess.DEVNULL) -> Iterator[subprocess.Popen[bytes]]:
     """Run a Python process, terminated at the end, with a folder of its own for the operator's socket."""
     with TemporaryDirectory() as folder:
         process = subprocess.Popen(
             [sys.executable, *arguments],
             stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
+            stdout=stdout,
             stderr=subprocess.PIPE,
             env={**os.environ, "XDG_RUNTIME_DIR": folder},
         )

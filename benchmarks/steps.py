@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -20,12 +20,12 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 from benchmarks.measure import Effort, Figures, figures
-from benchmarks.rows import Row, Target, span
+from benchmarks.rows import Beside, Row, Target, span
 from brain.bodies import bare
 from gateway import config
 from gateway.buses import Bus
 from gateway.buses.virtual.bus import open_world
-from gateway.core.clock import PacedClock, SimulatedClock, processor_time, stopwatch
+from gateway.core.clock import Clock, PacedClock, SimulatedClock, processor_time, stopwatch
 from gateway.core.guard import Blocked, Guard
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
@@ -40,6 +40,7 @@ GROUP = "a step of the gateway (all motors report, all are commanded)"
 TICKS = "a tick of the live loop at its own pace: processor time (read, step, write, record)"
 GUARD = "the guard (for each frame that goes out, part of the step)"
 TICK = "a tick of 5 ms"
+STEP_ALONE, UNPACED = "its step alone, back to back", "the same tick, back to back"
 FRAME = "the frame on a bus of 1 Mbit/s"
 CAN_FRAME: Nanos = 130_000
 """8 bytes with an 11-bit id, the worst but for a few bits of stuffing"""
@@ -84,9 +85,19 @@ def steps(effort: Effort) -> list[Row]:
     frame = (span(FRAME, CAN_FRAME),)
     return [
         *(Row(GROUP, name, found[name], tick[name], targets.get(name)) for name in drives),
-        *(Row(TICKS, f"a tick: {name}", paced(*drives[name]), tick[name]) for name in drives),
+        *(
+            Row(
+                TICKS, f"a tick: {name}", paced(*drives[name]), tick[name] + back_to_back(name, found, drives)
+            )
+            for name in drives
+        ),
         *(Row(GUARD, f"a frame: {name}", checked[name], frame, None) for name in drives),
     ]
+
+
+def back_to_back(name: str, found: Mapping[str, Figures], drives: Mapping[str, Drive]) -> tuple[Beside, ...]:
+    """What a tick at its own pace stands beside: the step alone, and the same tick without a pause."""
+    return Beside(STEP_ALONE, found[name]), Beside(UNPACED, paced(*drives[name], SimulatedClock()))
 
 
 @dataclass(slots=True)
@@ -109,14 +120,15 @@ class Played:
         """Nothing is open."""
 
 
-def paced(robot: Robot, ticks: Sequence[Tick]) -> Figures:
-    """Processor time of a tick with its recording, all threads together, by windows of so many ticks."""
+def paced(robot: Robot, ticks: Sequence[Tick], clock: Clock | None = None) -> Figures:
+    """Processor time of a tick with its recording, all threads together, by windows of so many ticks. By
+    default at its own pace."""
     packets = [packet for tick in ticks for packet in tick.inputs.packets]
     buses: dict[str, Bus] = {
         name: Played(name, [packet for packet in packets if packet.bus == name]) for name in robot.buses
     }
     asked = deque((tick.now, tick.inputs.instructions) for tick in ticks if tick.inputs.instructions)
-    clock, found = PacedClock(), list[float]()
+    clock, found = clock or PacedClock(), list[float]()
 
     def ask() -> Sequence[Instruction]:
         return asked.popleft()[1] if asked and clock.now() >= asked[0][0] else ()

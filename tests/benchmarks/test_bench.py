@@ -24,7 +24,9 @@ from benchmarks import (
     codec,
     drive,
     drivers,
+    latency,
     lines,
+    loops,
     measure,
     paths,
     perceive,
@@ -70,6 +72,7 @@ TARGETS = {
     "gateway run diffbot: first frame out",
     "12 motors, velocity",
     "12 motors, position",
+    process.NOTHING,
     "processor time of both",
     view.BOTH,
     *lines.WHAT,
@@ -111,9 +114,12 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
     assert [row["what"] for row in run.rows] == [
         *STARTS,
         *MEMORIES,
+        process.NOTHING,
         *STEPS,
         *(f"a tick: {name}" for name in STEPS),
         *(f"a frame: {name}" for name in STEPS),
+        *loops.WHAT,
+        *(latency.WHAT.format(rate) for rate in latency.RATES),
         *(what.format(name) for name in drivers.OPTIONS for what in drivers.WHAT),
         *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
         bridge.SENT,
@@ -531,6 +537,37 @@ def test_polling_costs_no_steps_of_its_own() -> None:
     assert len(settled) == 200
     asked = sum(isinstance(p.frame, CanFrame) and p.frame.remote for t in settled for p in t.outputs.packets)
     assert 12 * 4 * 4 <= asked <= 12 * 4 * 6
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("case", loops.CASES, ids=loops.WHAT)
+def test_a_peer_s_loop_moves_the_same_motors(case: loops.Case) -> None:
+    """Else it is not measured; one that sends nothing moves none."""
+    made = loops.measured(case, 2)
+    assert made.ours is not None
+    (other,) = made.beside
+    assert other.figures is not None
+    assert other.figures.samples == made.ours.samples == 2
+    still = replace(case, loop=lambda module, robot: lambda exchange: len(exchange([])) + len(robot.motors))
+    with pytest.raises(NotMeasured, match="is at 0 rad and turns at 0 rad/s"):
+        loops.measured(still, 1)
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("rate", latency.RATES)
+def test_a_set_point_follows_a_feedback(rate: int) -> None:
+    found = latency.measured(rate, 1)
+    assert found.samples > 1
+    assert 0.0 < found.median < math.inf
+
+
+def test_processor_time_of_an_idle_robot_is_of_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "SETTLING", 0)
+    (idle,) = process.while_idle(1)
+    assert 0.0 < idle < 20 * SECOND
+    monkeypatch.setattr(process, "NOTHING", "gateway run no-such-robot")
+    with pytest.raises(NotMeasured, match="no-such-robot"):
+        process.while_idle(1)
 
 
 def test_figures_by_step_are_over_each_step_s_own_median() -> None:
