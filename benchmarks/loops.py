@@ -26,7 +26,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs
 from gateway.runtime.process import quiet_collector
-from protocols.frames import CanFrame
+from protocols.frames import CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, Instruction, Nanos, Position, Velocity
 
 GROUP = "a round of a loop: 12 motors report and are commanded (the twins behind it not counted)"
@@ -56,18 +56,16 @@ class Wires:
         self.now: Nanos = 0
         self.elsewhere: Nanos = 0
         """The machine's time that the twins took since it was last set to 0."""
-        self._bus_of = {motor.device.address: motor.bus for motor in robot.motors.values()}
 
-    def exchange(self, frames: Sequence[CanFrame], address: Callable[[CanFrame], int]) -> Sequence[CanFrame]:
-        """Send frames to the devices with these addresses; return all that has come a period later."""
+    def exchange(self, given: Callable[[str], Sequence[Frame]]) -> tuple[Packet, ...]:
+        """Send what each bus is given; return all that has come a period later."""
         began = stopwatch()
         for name, bus in self.world.buses.items():
-            bus.write(self.now, [each for each in frames if self._bus_of[address(each)] == name])
+            bus.write(self.now, given(name))
         self.now += self.robot.period
         packets = [packet for bus in self.world.buses.values() for packet in bus.read(self.now)[1]]
-        came = [packet.frame for packet in packets if isinstance(packet.frame, CanFrame)]
         self.elsewhere += stopwatch() - began
-        return came
+        return tuple(packets)
 
 
 class Ours:
@@ -76,22 +74,15 @@ class Ours:
     def __init__(self, robot: Robot, target: Callable[[str], Instruction]) -> None:
         self.wires, self._gateway = Wires(robot), Gateway(robot)
         self._asked = [target(motor) for motor in robot.motors]
-        self._inputs = Inputs((), (), ())
+        self._received: tuple[Packet, ...] = ()
 
     def round(self) -> None:
         """Step, then let the world go on by a period."""
-        wires = self.wires
-        outputs = self._gateway.step(wires.now, self._inputs)
-        began, now = stopwatch(), wires.now
-        for name, bus in wires.world.buses.items():
-            bus.write(now, [packet.frame for packet in outputs.packets if packet.bus == name])
-        wires.now += wires.robot.period
-        packets = [packet for bus in wires.world.buses.values() for packet in bus.read(wires.now)[1]]
-        asked = self._asked if wires.now >= ARMED else []
-        self._inputs = Inputs((), tuple(packets), tuple(asked))
-        if asked:
-            self._asked = []
-        wires.elsewhere += stopwatch() - began
+        asked: Sequence[Instruction] = ()
+        if self.wires.now >= ARMED:
+            asked, self._asked = self._asked, []
+        sent = self._gateway.step(self.wires.now, Inputs((), self._received, tuple(asked))).packets
+        self._received = self.wires.exchange(lambda bus: [one.frame for one in sent if one.bus == bus])
 
 
 class Theirs:
@@ -99,11 +90,18 @@ class Theirs:
 
     def __init__(self, robot: Robot, made: Round, address: Callable[[CanFrame], int]) -> None:
         self.wires, self._made, self._address = Wires(robot), made, address
+        self._bus_of = {motor.device.address: motor.bus for motor in robot.motors.values()}
         self.heard = 0
 
     def round(self) -> None:
         """Go through it once."""
-        self.heard = self._made(lambda frames: self.wires.exchange(frames, self._address))
+        self.heard = self._made(self._exchange)
+
+    def _exchange(self, frames: Sequence[CanFrame]) -> Sequence[CanFrame]:
+        packets = self.wires.exchange(
+            lambda bus: [each for each in frames if self._bus_of[self._address(each)] == bus]
+        )
+        return [packet.frame for packet in packets if isinstance(packet.frame, CanFrame)]
 
 
 def loops(effort: Effort) -> list[Row]:
