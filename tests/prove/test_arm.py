@@ -14,9 +14,11 @@ from protocols.messages import SECOND
 pytestmark = pytest.mark.prove
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_block_is_lifted_and_put_on_the_tray(seed: int) -> None:
-    robot = load_robot("arm")
+@pytest.mark.parametrize(
+    ("name", "seed"), [("arm", 0), ("arm", 1), ("arm", 2), ("arm_dynamixel", 0), ("arm_feetech", 0)]
+)
+def test_the_block_is_lifted_and_put_on_the_tray(name: str, seed: int) -> None:
+    robot = load_robot(name)
     highest, contacts = 0.0, 0
     with open_session(robot, simulated=True, seed=seed) as session:
         assert session.twins is not None
