@@ -12,6 +12,10 @@ import json
 import socket
 from contextlib import ExitStack, suppress
 
+from websockets.client import ClientProtocol
+from websockets.typing import Subprotocol
+from websockets.uri import parse_uri
+
 import gateway
 from benchmarks.measure import Effort, Figures, NotMeasured, figures
 from benchmarks.rows import Row, Target, span
@@ -68,7 +72,7 @@ class _Shown:
     def __init__(self, session: Session) -> None:
         self.session = session
         self.view = View([Scene(session.gateway, "live", dict)], Address(port=0), Access())
-        self.sockets: list[socket.socket] = []
+        self.clients: list[tuple[socket.socket, ClientProtocol]] = []
         self.took: list[tuple[Nanos, Nanos]] = []
         self.got = 0
 
@@ -76,32 +80,32 @@ class _Shown:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for one in self.sockets:
+        for one, _protocol in self.clients:
             one.close()
         self.view.close()
 
     def connect(self, path: str, subprotocol: str = "") -> None:
-        """Ask to become a client."""
+        """Ask to become a client. It answers pings, as browsers do: what is not known to have arrived keeps
+        the view from sending more."""
         address = parse_address(self.view.url.partition("//")[2].partition("/")[0])
         made = socket.create_connection((address.host, address.port))
         made.setblocking(False)
-        lines = [
-            f"GET {path} HTTP/1.1",
-            f"Host: {address}",
-            "Upgrade: websocket",
-            "Connection: Upgrade",
-            "Sec-WebSocket-Version: 13",
-            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
-            *([f"Sec-WebSocket-Protocol: {subprotocol}"] if subprotocol else []),
-        ]
-        made.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
-        self.sockets.append(made)
+        spoken = [Subprotocol(subprotocol)] if subprotocol else None
+        protocol = ClientProtocol(parse_uri(f"ws://{address}{path}"), subprotocols=spoken, max_size=None)
+        protocol.send_request(protocol.connect())
+        self.clients.append((made, protocol))
+        self._send(made, protocol)
 
     def subscribe(self) -> None:
         """Subscribe to everything but frames: the topics that every robot has come first, by number."""
         rows = [{"id": number, "channelId": number} for number in range(1, len(TOPICS) + 1)]
-        text = json.dumps({"op": "subscribe", "subscriptions": rows}).encode()
-        self.sockets[-1].sendall(b"\x81\xfe" + len(text).to_bytes(2, "big") + bytes(4) + text)  # masked by 0
+        made, protocol = self.clients[-1]
+        protocol.send_text(json.dumps({"op": "subscribe", "subscriptions": rows}).encode())
+        self._send(made, protocol)
+
+    def _send(self, made: socket.socket, protocol: ClientProtocol) -> None:
+        for data in protocol.data_to_send():
+            made.sendall(data)
 
     def tick(self, tick: Tick) -> None:
         """Show a tick, with a clock around it; then read what came."""
@@ -111,10 +115,13 @@ class _Shown:
         self.view.take(tick, belief)
         self.view.show(tick.now)
         ended = stopwatch()
-        for one in self.sockets:
+        for made, protocol in self.clients:
             with suppress(BlockingIOError):
-                while data := one.recv(1 << 20):
+                while data := made.recv(1 << 20):
                     self.got += len(data)
+                    protocol.receive_data(data)
+            protocol.events_received()
+            self._send(made, protocol)
         if tick.now >= WARM:
             self.took.append((tick.now, ended - began))
 
