@@ -7,13 +7,14 @@ asks for a class.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import cos, pi, sin
 from typing import Annotated, ClassVar
 
 from brain.bodies.body import Base, Body, Linkage, Placement
 from protocols.bounds import Bounds, Invalid, check
+from protocols.messages import Command
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +117,8 @@ class Abilities:
     """What brings a tool to a place, by the limb's name"""
     joints: tuple[str, ...]
     """The motors that take targets of their own: all but a base's"""
+    takes: Mapping[str, Collection[type[Command]]] = field(default_factory=dict)
+    """What each motor can be commanded, as far as that is known"""
 
     @property
     def wheels(self) -> tuple[str, ...]:

@@ -141,6 +141,11 @@ def wrong_target(target: Command, able: Abilities) -> str:
         there = f"there are {', '.join(able.joints)}" if able.joints else "there are none"
         return f"{target.motor!r} is no joint that takes a target; {there}"
     wrong = objection(target)
+    takes = able.takes.get(target.motor, (type(target),))
+    planned = isinstance(target, msg.Position) and able.arm_of(target.motor) is not None
+    if not wrong and not planned and type(target) not in takes:
+        can = ", ".join(sorted(each.__name__ for each in takes))
+        wrong = f"it takes no {type(target).__name__}: {can} are what it can do"
     return f"{target.motor}: {wrong}" if wrong else ""
 
 

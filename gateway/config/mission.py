@@ -19,6 +19,7 @@ on_failure = "skip"                 of any step: "stop", "skip", or steps that a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -69,7 +70,8 @@ def cannot(asked: Instruction, robot: Robot) -> str:
     base, joints = able.base, able.joints
     match asked:
         case Mission():
-            return why_not(asked, able)
+            takes = {name: motor.joint.commands(motor.spec) for name, motor in robot.motors.items()}
+            return why_not(asked, replace(able, takes=takes))
         case msg.Goal() | msg.Drive() | msg.Locate() | msg.Grid() if base is None:
             return f"{robot.name!r} has no base to drive; its joints take targets: {', '.join(joints)}"
         case msg.Drive(lateral=lateral) if lateral and base is not None and not base.moves_sideways:

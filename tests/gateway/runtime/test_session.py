@@ -125,6 +125,11 @@ def test_what_a_robot_can_never_do_is_refused_when_it_is_submitted() -> None:
         ("bench", gw.Goal(1.0, 2.0), "Goal: 'bench' has no base to drive"),
         ("bench", gw.Velocity("lefd", 1.0), "Velocity: no motor 'lefd': .* did you mean 'left'"),
         ("bench", gw.Mission("m", (gw.Turn(1.0),)), "Mission: step 1: turn: there is no base to drive"),
+        (
+            "pan_tilt",
+            gw.Mission("m", (gw.Reach((gw.Torque("pan", 0.1),)),)),
+            "Mission: step 1: .*pan: it takes no Torque: Hold, Idle, Position are what it can do",
+        ),
         ("diffbot", gw.Velocity("left", 1.0), "Velocity: 'left' moves the base: use goal or drive"),
         ("diffbot", gw.Drive(0.0, 0.0, 0.1), "Drive: the base of 'diffbot' does not move sideways"),
     )
