@@ -122,7 +122,7 @@ class Gateway:
         """Whether the step before took an answer when the brain was due: the brain's is due at once."""
         self._commanded: tuple[str, ...] = ()
         """What kept joints from being driven when they were last commanded,"""
-        self._given: list[Exchange] = []
+        self._offered: list[Exchange] = []
         """and what drivers gave to lines then: see `_overtaken`."""
         self.guard = Guard(robot)
         self._values: list[object] = [
@@ -168,7 +168,7 @@ class Gateway:
         self._heard = []
         tasks = self._on_instructions(now, inputs.instructions)
         stopped = self.why_stopped()
-        self._commanded, self._given = self._standing(), []
+        self._commanded, self._offered = self._standing(), []
         presumed = [each for one in self.joints.values() if (each := one.presumed(now)) is not None]
         thought = self._think(now, [*events, *presumed], tasks, stopped)
         wanted = {command.motor: command for command in thought}
@@ -627,7 +627,7 @@ class Gateway:
         """Give a line what one of its drivers sends, and the devices' own stops. Of a driver that has failed,
         that is nothing: its set-points are taken back, and what disarms is still sent."""
         given = [exchange(frame) for frame in frames if isinstance(frame, bytes)]
-        self._given += given
+        self._offered += given
         stops = [exchange(frame) for frame in self._stops(now, one, mute=mute) if isinstance(frame, bytes)]
         given += [Exchange(stop, stop.answer, Rank.RELEASE, stop.about) for stop in stops]
         self.lines[one.bus].put(self._on_bus[one.bus].index(one), given)
@@ -663,7 +663,7 @@ class Gateway:
     def _overtaken(self, waited: Exchange | None) -> bool:
         """Return whether a stop or a fault has come since what is blocked was commanded, in this step or
         while it waited for its line; or its driver no longer gives it: then it is no defect of the driver."""
-        old = waited is not None and not any(each is waited for each in self._given)
+        old = waited is not None and not any(each is waited for each in self._offered)
         return old or self._standing() != self._commanded
 
     def _on_blocked(self, one: BusDriver, blocked: Blocked) -> None:
