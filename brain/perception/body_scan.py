@@ -44,7 +44,8 @@ class BodyScan:
     normals: Floats
     """n × 2: unit normal of that line, towards the lidar; undefined where not straight"""
     noise: float
-    """m: standard deviation of a range, as the scan itself shows it; 0 if too few hits do"""
+    """m: standard deviation of a range beyond what is usual, as the scan itself shows it; 0 if too few hits
+    do"""
 
     def place(self, pose: Pose) -> tuple[float, float]:
         """Return where the lidar is, with the robot at a pose."""
@@ -148,10 +149,10 @@ STEEP = 0.2
 """Cosine between a surface's normal and the beam below which it rather is the gap between two surfaces"""
 STEP_UP = (0.05, 6.0)
 """m, and times the noise of a range, by which neighbouring ranges of one surface may differ besides"""
-FEWEST, LOW, OF_LOW, LOUDEST = 50, 25.0, 2.05, 0.3
+FEWEST, LOW, OF_LOW, USUAL, LOUDEST = 50, 25.0, 2.05, 0.03, 0.3
 """Least number of hits that show the noise, since too many of few are beside corners; percentile of how far
 they are off the line through the two beside them; the standard deviation of a range, in those, if a fifth
-is beside corners and edges; m, at most"""
+is beside corners and edges; m, for which all lengths here are made, and m, at most"""
 
 
 def _with_surfaces(
@@ -163,8 +164,8 @@ def _with_surfaces(
 
 
 def _noise(bearings: Floats, ranges: Floats, hit: Bools) -> float:
-    """Return the standard deviation of a range [m]: on a wall each lies on the line through the two beside
-    it, however the wall lies."""
+    """Return by how much the standard deviation of a range is more than usual [m]: on a wall each lies on the
+    line through the two beside it, however the wall lies."""
     middle = np.flatnonzero(hit[1:-1] & hit[:-2] & hit[2:]) + 1
     if len(middle) < FEWEST:
         return 0.0
@@ -172,7 +173,8 @@ def _noise(bearings: Floats, ranges: Floats, hit: Bools) -> float:
     came, goes = bearings[middle] - bearings[middle - 1], bearings[middle + 1] - bearings[middle]
     across = before * np.sin(came) + after * np.sin(goes)
     off = np.abs(ranges[middle] - before * after * np.sin(came + goes) / np.maximum(across, 1e-9))
-    return min(OF_LOW * float(np.percentile(off, LOW)), LOUDEST)
+    found = min(OF_LOW * float(np.percentile(off, LOW)), LOUDEST)
+    return math.sqrt(max(found * found - USUAL * USUAL, 0.0))
 
 
 def _surfaces(
