@@ -662,9 +662,11 @@ class Gateway:
 
     def _overtaken(self, waited: Exchange | None) -> bool:
         """Return whether a stop or a fault has come since what is blocked was commanded, in this step or
-        while it waited for its line; or its driver no longer gives it: then it is no defect of the driver."""
+        while it waited for its line: then it is no defect of the driver. What its driver no longer gives,
+        while something stops it, is from before that."""
+        standing = self._standing()
         old = waited is not None and not any(each is waited for each in self._offered)
-        return old or self._standing() != self._commanded
+        return standing != self._commanded or (old and any(standing))
 
     def _on_blocked(self, one: BusDriver, blocked: Blocked) -> None:
         self._latch(
