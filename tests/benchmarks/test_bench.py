@@ -126,7 +126,7 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         bridge.RECEIVED,
         *lines.WHAT,
         "one predict and update, gated",
-        "1024 × 1024 cells of 0.05 m, beams of up to 12 m",
+        "cells of 0.05 m, beams of up to 12 m",
         "200 × 200 cells",
         "1000 × 1000 cells",
         *plans.what(plans.SIZES[0]),
@@ -199,8 +199,8 @@ def test_the_machine_is_told(run: Run) -> None:
 def test_the_table_has_a_line_for_every_comparison(run: Run) -> None:
     table = run.printed.splitlines()
     for row in run.rows:
-        assert row["group"] in table
-        (first,) = [i for i, line in enumerate(table) if f"  {row['what']}  " in line]
+        group = table.index(row["group"])
+        first = next(i for i in range(group, len(table)) if f"  {row['what']}  " in table[i])
         assert all(other["what"] in table[first + n] for n, other in enumerate(row["beside"]))
 
 
