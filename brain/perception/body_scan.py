@@ -149,7 +149,7 @@ STEEP = 0.2
 """Cosine between a surface's normal and the beam below which it rather is the gap between two surfaces"""
 STEP_UP = (0.05, 6.0)
 """m, and times the noise of a range, by which neighbouring ranges of one surface may differ besides"""
-FEWEST, LOW, OF_LOW, USUAL, LOUDEST = 50, 25.0, 2.05, 0.03, 0.3
+FEWEST, LOW, OF_LOW, USUAL_NOISE, MOST_NOISE = 50, 25.0, 2.05, 0.03, 0.3
 """Least number of hits that show the noise, since too many of few are beside corners; percentile of how far
 they are off the line through the two beside them; the standard deviation of a range, in those, if a fifth
 is beside corners and edges; m, for which all lengths here are made, and m, at most"""
@@ -173,8 +173,8 @@ def _noise(bearings: Floats, ranges: Floats, hit: Bools) -> float:
     came, goes = bearings[middle] - bearings[middle - 1], bearings[middle + 1] - bearings[middle]
     across = before * np.sin(came) + after * np.sin(goes)
     off = np.abs(ranges[middle] - before * after * np.sin(came + goes) / np.maximum(across, 1e-9))
-    found = min(OF_LOW * float(np.percentile(off, LOW)), LOUDEST)
-    return math.sqrt(max(found * found - USUAL * USUAL, 0.0))
+    found = min(OF_LOW * float(np.percentile(off, LOW)), MOST_NOISE)
+    return math.sqrt(max(found * found - USUAL_NOISE * USUAL_NOISE, 0.0))
 
 
 def _surfaces(

@@ -145,7 +145,7 @@ def wrong_target(target: Command, able: Abilities) -> str:
     planned = isinstance(target, msg.Position) and able.arm_of(target.motor) is not None
     if not wrong and not planned and type(target) not in takes:
         can = ", ".join(sorted(each.__name__ for each in takes))
-        wrong = f"it takes no {type(target).__name__}: {can} are what it can do"
+        wrong = f"it takes no {type(target).__name__}, but {can}"
     return f"{target.motor}: {wrong}" if wrong else ""
 
 

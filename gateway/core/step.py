@@ -168,7 +168,7 @@ class Gateway:
         self._heard = []
         tasks = self._on_instructions(now, inputs.instructions)
         stopped = self.why_stopped()
-        self._commanded, self._offered = self._standing(), []
+        self._commanded, self._offered = self._stopped_by(), []
         presumed = [each for one in self.joints.values() if (each := one.presumed(now)) is not None]
         thought = self._think(now, [*events, *presumed], tasks, stopped)
         wanted = {command.motor: command for command in thought}
@@ -642,7 +642,7 @@ class Gateway:
         since = one.failing_since
         return frozenset(name for name in one.motors if not self.joints[name].is_heard_since(since))
 
-    def _standing(self) -> tuple[str, ...]:
+    def _stopped_by(self) -> tuple[str, ...]:
         """Return what keeps joints from being driven, beside frames that were blocked."""
         faults = ((name, joint.faults) for name, joint in self.joints.items())
         found = (name for name, those in faults if those and any(code != FRAME_BLOCKED for code, _ in those))
@@ -664,9 +664,9 @@ class Gateway:
         """Return whether a stop or a fault has come since what is blocked was commanded, in this step or
         while it waited for its line: then it is no defect of the driver. What its driver no longer gives,
         while something stops it, is from before that."""
-        standing = self._standing()
+        stopped_by = self._stopped_by()
         old = waited is not None and not any(each is waited for each in self._offered)
-        return standing != self._commanded or (old and any(standing))
+        return stopped_by != self._commanded or (old and any(stopped_by))
 
     def _on_blocked(self, one: BusDriver, blocked: Blocked) -> None:
         self._latch(

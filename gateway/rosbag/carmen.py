@@ -172,7 +172,7 @@ class CarmenLog:
         elif line.odometry is not None and ODOMETRY in heads:
             yield ODOMETRY, Head(t, "")
         if fields[0] in heads:
-            yield fields[0], Head(t, "", self._mount(fields, line))
+            yield fields[0], Head(t, _frame(fields[0]) if line.scan else "", self._mount(fields, line))
         elif fields[0] in whole:
             yield fields[0], _scan(t, fields, line) if line.scan else _true(t, fields)
 
@@ -216,6 +216,11 @@ class CarmenLog:
             return len(fields) >= known.odometry(fields) + 6 and _is_number(fields[-1])
         except (ValueError, IndexError):
             return False
+
+
+def _frame(line: str) -> str:
+    """Return which lidar a line is of: 1 looks to the front, and 2 to the rear."""
+    return f"laser {({'FLASER': '1', 'RLASER': '2'}).get(line, line[-1])}"
 
 
 def _is_number(text: str) -> bool:

@@ -69,7 +69,7 @@ STATE = "StateStamped"
 NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 WORDS = re.compile(r"[^A-Za-z0-9_]+")
-AGAIN = 0.9
+SAME_STAMPS = 0.9
 """Share of the scans of one topic from which on it is another's again, if they have the same stamps"""
 SIDEWAYS = 0.02
 """m/s to the side, above which a base is proposed that can move so"""
@@ -422,12 +422,12 @@ def _each_once(lidars: Sequence[TopicSurvey], notes: list[str]) -> list[TopicSur
 
 
 def _same_lidar(one: TopicSurvey, other: TopicSurvey) -> bool:
-    """True if two topics hold scans in one frame, and at the same times."""
+    """True if two topics hold scans in one frame that is known, and at the same times."""
     stamps = [np.frombuffer(each.stamped, dtype=np.int64) for each in (one, other)]
     apart = one.mount is not None and other.mount is not None and not _near(one.mount, other.mount)
-    if one.frame != other.frame or apart or not all(each.any() for each in stamps):
+    if not one.frame or one.frame != other.frame or apart or not all(each.any() for each in stamps):
         return False
-    return bool(np.isin(stamps[1], stamps[0]).mean() > AGAIN)
+    return bool(np.isin(stamps[1], stamps[0]).mean() > SAME_STAMPS)
 
 
 def _near(one: Pose, other: Pose) -> bool:

@@ -231,6 +231,7 @@ def carmen_log(length: float = 20.0, bent: float = 0.0, kinds: Sequence[str] = (
                 "FLASER": f"FLASER 181 {readings} {at} {at} {end}",
                 "ROBOTLASER1": f"ROBOTLASER1 {described} {at} {at} {v} {w} 0 0 0 {end}",
                 "RAWLASER1": f"RAWLASER1 {described} {end}",
+                "RAWLASER2": f"RAWLASER2 {described} {end}",
             }
             lines += [written[kind] for kind in kinds]
     return "".join(lines)

@@ -420,6 +420,25 @@ def test_a_scan_that_is_logged_twice_counts_once(tmp_path: Path, kinds: tuple[st
     assert f"{used}: 40 of 40 as sensors.lidar" in evaluation.text()
 
 
+def test_two_lidars_at_the_same_times_are_two(tmp_path: Path) -> None:
+    """Where their frames differ, and where none is told: one that is left out would be missed."""
+    path = tmp_path / "drive.clf"
+    path.write_text(made.carmen_log(4.0, kinds=("FLASER", "RAWLASER2")))
+    robot = proposed_robot(survey(path))
+    assert robot.bag is not None
+    assert sorted(robot.bag.sensors.values()) == ["FLASER", "RAWLASER2"]
+    messages = told(made.by_odometry, 2.0)
+    messages += [
+        made.scanned(START + n * SECOND // 10, [1.0] * 90, frame="", topic=topic)
+        for n in range(20)
+        for topic in ("/front", "/rear")
+    ]
+    found = survey(write(tmp_path / "x", sorted(messages, key=lambda one: one.logged), "mcap"))
+    unnamed = proposed_robot(found)
+    assert unnamed.bag is not None
+    assert sorted(unnamed.bag.sensors.values()) == ["/front", "/rear"]
+
+
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress, lzma.compress])
 def test_a_packed_log_is_the_same(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
     robot = stranger('odometry = "odometry"\nsensors = { lidar = "FLASER" }\n')

@@ -128,7 +128,7 @@ def test_what_a_robot_can_never_do_is_refused_when_it_is_submitted() -> None:
         (
             "pan_tilt",
             gw.Mission("m", (gw.Reach((gw.Torque("pan", 0.1),)),)),
-            "Mission: step 1: .*pan: it takes no Torque: Hold, Idle, Position are what it can do",
+            "Mission: step 1: .*pan: it takes no Torque, but Hold, Idle, Position",
         ),
         ("diffbot", gw.Velocity("left", 1.0), "Velocity: 'left' moves the base: use goal or drive"),
         ("diffbot", gw.Drive(0.0, 0.0, 0.1), "Drive: the base of 'diffbot' does not move sideways"),
