@@ -98,11 +98,19 @@ class Tab:
         self.call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], **button)
 
     def select(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
-        """Select a part of a plot: the button is released once the selection is drawn, as by a person. uPlot
-        takes none that it has not drawn."""
+        """Select a part of a plot as a person does: the mouse moves until the selection is drawn, only then the
+        button is released. uPlot takes no selection that it has not drawn, and leaves out a move by nothing, as
+        which the browser may report the first."""
+
+        def drawn() -> Any:
+            self.mouse("mouseMoved", (end[0] - 1, end[1]))
+            self.mouse("mouseMoved", end)
+            return self.run(
+                "[...document.querySelectorAll('.u-select')].some(one => parseFloat(one.style.width) > 0)"
+            )
+
         self.mouse("mousePressed", begin)
-        self.mouse("mouseMoved", end)
-        self.until("[...document.querySelectorAll('.u-select')].some(one => parseFloat(one.style.width) > 0)")
+        wait(drawn, "a selection")
         self.mouse("mouseReleased", end)
 
     def touch(self, *fingers: tuple[float, float]) -> None:
