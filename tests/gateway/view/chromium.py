@@ -98,9 +98,9 @@ class Tab:
         self.call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], **button)
 
     def select(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
-        """Select a part of a plot as a person does: the mouse moves until the selection is drawn, only then the
-        button is released. uPlot takes no selection that it has not drawn, and leaves out a move by nothing, as
-        which the browser may report the first."""
+        """Select a part of a plot as a person does: the mouse moves until the selection is drawn, only then
+        the button is released. uPlot takes no selection that it has not drawn, and leaves out a move by
+        nothing, as which the browser may report the first."""
 
         def drawn() -> Any:
             self.mouse("mouseMoved", (end[0] - 1, end[1]))
