@@ -43,8 +43,9 @@ UNSEEN = 0.015
 """s, beside the period of its reports, until it is seen what a torque has done."""
 CLOSEST: Nanos = 1_000_000
 """ns between two reports that tell an acceleration: closer ones have stamps that are too rough"""
-FORGOTTEN = 0.9
-"""Of what a shaft did by a torque, per report: it may be held up now."""
+HELD_UP, TURNING = 0.9, 0.98
+"""What is kept, per report, of what a shaft did by a torque. One that is held up does nothing by it; one that
+turns under a load seems to, and is as light as before once the torque is larger than the load."""
 SOFTENED = 0.8
 """Share of the limit of torque that a softened spring may give: measured velocities are old."""
 NEARING, SETTLING = 0.2, 0.07
@@ -340,7 +341,8 @@ class Swing:
             change * SECOND / max(t - self._reported_at, CLOSEST) if self._reported_at else 0.0
         )
         seen = change / given if change * given > 0.0 else 0.0
-        self._per_impulse = max(seen, FORGOTTEN * self._per_impulse)
+        turning = abs(velocity) > self._per_impulse * abs(given)
+        self._per_impulse = max(seen, (TURNING if turning else HELD_UP) * self._per_impulse)
         self._given, self._unseen = self._unseen, 0.0
         self._reported_at, self._velocity, self._age = t, velocity, 0.0
 
