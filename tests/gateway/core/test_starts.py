@@ -122,7 +122,8 @@ LOADED = {
     (31, 2792): "a torque that only carries the load, then is larger, where reports are 20 ms apart",
     (31, 2085): "the same beside a load that helps",
 }
-"""By seed and number: what went beyond the limits where a load turns a bare rotor, until that was reckoned with."""
+"""By seed and number: what went beyond the limits where a load turns a bare rotor, until that was reckoned
+with."""
 
 
 @pytest.mark.parametrize("case", LOADED)
