@@ -161,6 +161,7 @@ class RoboclawTwin(PacketFirmware):
         for side, each in ((1, first), (2, second)):
             measured = dict.fromkeys(values, 0) if each is None else each.measured()
             values |= {f"{what}{side}": value for what, value in measured.items()}
+            values |= {f"{what}{side}": values[what] for what in ("voltage", "temperature")}
         fields = rt.ANSWERS.row(name).fields
         return rt.answer(message, name, **{each.name: values[each.name] for each in fields})
 
