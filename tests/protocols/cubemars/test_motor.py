@@ -162,7 +162,7 @@ def test_a_reply_with_the_motors_own_id_is_told_from_a_returned_command() -> Non
 def test_replies_count_on_0_and_on_the_motors_own_id_unless_one_is_stated(
     stated: int, answers: set[int]
 ) -> None:
-    """The vendor's manual has "0x00 + Drive ID" (V1.0.17, 5.3); early firmware, like the mini-cheetah's, 0."""
+    """The vendor's manual V1.0.17 (5.3) has "0x00 + Drive ID"; early firmware, like the mini-cheetah's, 0."""
     device = Device("m", 1, Options(mode="mit", sole_host=True, reply_id=stated), plugin.settings())
     reply = bytes.fromhex("01851e8008004600")
     heard = {

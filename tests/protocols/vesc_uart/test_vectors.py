@@ -159,7 +159,7 @@ def test_a_part_of_it_both_ways_and_what_a_driver_reports_of_it() -> None:
 
 @pytest.mark.parametrize("duty", [0.2, -0.2])
 def test_the_supply_gives_current_to_whatever_drives_and_steps_without_sign_only_grow(duty: float) -> None:
-    """As the firmware: it counts power into the motor positive in both directions, and takes it back braking."""
+    """As the firmware: power into the motor is positive in both directions, what it brakes negative."""
     twin = plugin.twin(DEVICE, 0)
     position = velocity = 0.0
     seen: list[Mapping[str, Any]] = []
