@@ -73,7 +73,7 @@ def spec(device: Device) -> Spec:
         device,
         options.table,
         cm.ADDRESSES,
-        expects=(exact(options.reply_id) if mit else status,),
+        expects=tuple(map(exact, options.replies(device.address))) if mit else (status,),
         read_only=cm.asks if mit and options.sole_host else options.table.read_only,
         feedback=FeedbackKind.REPLY if mit else FeedbackKind.CYCLIC,
         commands=WHEEL if options.turns else MIT if five else SERVO,

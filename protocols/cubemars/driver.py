@@ -140,7 +140,7 @@ class CubeMarsAdapter(Adapter[Motor]):
         return self._report(t, host, state, values, motion)
 
     def _reply(self, t: Nanos, frame: CanFrame, host: Host[Motor] | None) -> Report[Motor] | Rx:
-        if host is None or host.options.mode != "mit" or frame.id != host.options.reply_id:
+        if host is None or host.options.mode != "mit" or frame.id not in host.options.replies(host.address):
             return Rx.IGNORED
         own = host.own
         if any(frame.data == data for _, _, data in own.awaited):

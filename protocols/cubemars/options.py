@@ -14,8 +14,8 @@ from protocols.toolkit.table import Table
 
 # fmt: off
 Model = Literal[
-    "AK10-9", "AK60-6", "AK70-10", "AK80-6", "AK80-6 V1.0", "AK80-6 V1.1", "AK80-9", "AK80-9 V1.1",
-    "AK80-9 V2", "AK80-64", "AK70-9", "AKE60-8", "AKE80-8",
+    "AK10-9", "AK40-10", "AK45-10", "AK45-36", "AK60-6", "AK70-9", "AK70-10", "AK80-6", "AK80-6 V1.0",
+    "AK80-6 V1.1", "AK80-8", "AK80-9", "AK80-9 V1.1", "AK80-9 V2", "AK80-64", "AKE60-8", "AKE80-8",
 ]
 # fmt: on
 
@@ -58,8 +58,8 @@ class Options:
     """rad/s; 0: the model's"""
     torque_end: Annotated[float, Bounds(0.0, 300.0)] = 0.0
     """N·m; 0: the model's"""
-    reply_id: Annotated[int, Bounds(0, 0x7FF)] = 0
-    """Id of all replies. Uncertain: 0 in the published firmware, the motor's own in the vendor's manual."""
+    reply_id: Annotated[int, Bounds(-1, 0x7FF)] = -1
+    """Id of all replies; -1: the motor's own, as the vendor's manual has it, or 0, as early firmware"""
     sole_host: bool = False
     """A motor is asked where it is before its first command, too: by the frame that leaves motor mode, since
     there is no other. It would let go of what another host holds. Needed where a brain awaits feedback."""
@@ -89,6 +89,10 @@ class Options:
         p, v, t = self._models[self.model]
         table = cm.mit_table if self.mode == "mit" else cm.v3_table
         return table(self.position_end or p, self.velocity_end or v, self.torque_end or t)
+
+    def replies(self, address: int) -> tuple[int, ...]:
+        """Return the ids on which a motor with this address may answer in MIT mode, the manual's first."""
+        return (address, 0) if self.reply_id < 0 else (self.reply_id,)
 
     @property
     def set_point(self) -> str:

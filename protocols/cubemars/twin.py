@@ -121,7 +121,7 @@ class CubeMarsTwin(ServoFirmware):
         if self.options.mode == "mit":
             numbers = {"motor": self.memory.address, **self.measured(), **self._state()}
             reply = self.options.table.encode("reply", **numbers)
-            self.reply(t, replace(reply, id=self.options.reply_id))
+            self.reply(t, replace(reply, id=self.options.replies(self.memory.address)[0]))
 
     def _state(self) -> Mapping[str, int]:
         return {"temperature": self.settings.temperature, "error": self.fault}

@@ -24,6 +24,8 @@ class Options:
     can be given half of the full scale."""
     mirrored: bool = True
     """The right motor's reported speed has the other sign (a build without INVERT_R_DIRECTION)."""
+    left_mirrored: bool = False
+    """The left motor's reported speed has the other sign (a build with INVERT_L_DIRECTION)."""
     offline_ms: Annotated[float, Bounds(20.0, 10_000.0)] = 100.0
     """Time without feedback after which it is offline"""
     feedback_ms: ClassVar[int] = hb.PERIOD_MS
@@ -49,7 +51,7 @@ class Options:
 
     def sign(self, address: int) -> int:
         """Return the sign of a motor's reported speed, forwards."""
-        return -1 if self.mirrored and address == hb.RIGHT else 1
+        return -1 if (self.mirrored if address == hb.RIGHT else self.left_mirrored) else 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,6 +43,20 @@ def name_of(kind: str, motor: int) -> str:
     return kind.replace("#", str(BOARDS.side(motor)))
 
 
+def duty_of(values: Values) -> Values:
+    """Return the numbers for a motor; of a set-point of 7 bits the duty that it stands for."""
+    match values:
+        case {"forward": share}:
+            share /= 127
+        case {"backward": share}:
+            share /= -127
+        case {"seven": share}:
+            share = (share - 64) / 63
+        case _:
+            return values
+    return {"duty": round(max(-1.0, min(1.0, share)) * FULL)}
+
+
 # -- messages ----------------------------------------------------------------------------------------------
 
 

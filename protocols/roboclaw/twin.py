@@ -39,8 +39,9 @@ class Motor:
 
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Return what it does on a message."""
-        own, name, unit = rt.BOARDS.own(self.address, decoded), self.name, self.options.unit
-        match own:
+        name, unit = self.name, self.options.unit
+        own = rt.BOARDS.own(self.address, decoded)
+        match own and rt.duty_of(own):
             case None:
                 return ()
             case {"position": counts}:
@@ -122,7 +123,7 @@ class RoboclawTwin(PacketFirmware):
         super().on_message(t, message, decoded)
         own = rt.BOARDS.own(self.device.address, decoded)
         if own is not None and decoded.name not in rt.QUESTIONS:
-            self._take(own)
+            self._take(rt.duty_of(own))
         if self.other is None or self.side == 1:
             self.reply(t, self._answer(message, decoded.name))
 
@@ -161,6 +162,7 @@ class RoboclawTwin(PacketFirmware):
         for side, each in ((1, first), (2, second)):
             measured = dict.fromkeys(values, 0) if each is None else each.measured()
             values |= {f"{what}{side}": value for what, value in measured.items()}
+            values |= {f"{what}{side}": values[what] for what in ("voltage", "temperature")}
         fields = rt.ANSWERS.row(name).fields
         return rt.answer(message, name, **{each.name: values[each.name] for each in fields})
 

@@ -51,6 +51,8 @@ class VescUartTwin(LineFirmware, VescFirmware):
         """Who is on the CAN of the controller at the end of the line."""
         self.pinged_until: Nanos | None = None
         """When the ping that it was asked for is over."""
+        self.turned, self.stood_at = 0, 0
+        """Steps in either direction, and the last one's place"""
 
     def join(self, others: Sequence[Twin]) -> None:
         """Find the others of the line."""
@@ -76,6 +78,7 @@ class VescUartTwin(LineFirmware, VescFirmware):
                 self.restart(t, BOOT)
                 self.timed_out = True
                 self.encoder.set_position(0.0)
+                self.turned, self.stood_at = 0, 0
             case _:
                 self.command(t, decoded)
 
@@ -89,10 +92,13 @@ class VescUartTwin(LineFirmware, VescFirmware):
         self.reply(t, ut.FORMAT.frame(bytes((ut.PING_CAN, *self.found))))
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
-        """Answer a ping behind which nothing is asked, too."""
+        """Answer a ping behind which nothing is asked, too; count the steps."""
         if self.pinged_until is not None and now >= self.pinged_until + PINGED:
             self._answer_ping(now)
-        return super().step(now, truth)
+        stepped = super().step(now, truth)
+        at = int(self.measured()["position"])
+        self.turned, self.stood_at = self.turned + abs(at - self.stood_at), at
+        return stepped
 
     def _version(self) -> bytes:
         settings: Settings = self.settings
@@ -107,13 +113,13 @@ class VescUartTwin(LineFirmware, VescFirmware):
             "temp_fet": measured["fet"],
             "temp_motor": measured["motor"],
             "avg_motor_current": measured["current"],
-            "avg_input_current": measured["current"] * measured["duty"],
+            "avg_input_current": measured["current"] * abs(measured["duty"]),
             "avg_iq": self.torque / self.device.options.torque_constant,
             "duty_cycle_now": measured["duty"],
             "rpm": measured["velocity"],
             "v_in": measured["voltage"],
             "tachometer": measured["position"],
-            "tachometer_abs": abs(measured["position"]),
+            "tachometer_abs": self.turned,
             "fault_code": self.code,
             "controller_id": self.device.address,
             "status": self.state,

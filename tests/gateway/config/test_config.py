@@ -365,10 +365,11 @@ def test_no_motor_may_obey_what_another_of_its_protocol_reports(
 
 
 def test_motors_of_one_protocol_may_report_by_one_id_where_they_name_themselves() -> None:
-    """In MIT mode these all answer by id 0, or each by its own."""
+    """In MIT mode these all answer by id 0, or each by its own; any is taken, or the stated one."""
     text = changed('watchdog = "acknowledged"', 'mode = "mit"', changed("odrive_can", "cubemars", BENCH))
     assert mistakes_in(text) == []
     assert mistakes_in(changed("address = 1", "address = 1\noptions = { reply_id = 1 }", text)) == []
+    assert mistakes_in(changed("address = 1", "address = 1\noptions = { reply_id = 0 }", text)) == []
 
 
 def test_what_a_driver_requires_of_its_devices_together_is_checked() -> None:

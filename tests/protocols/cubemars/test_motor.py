@@ -8,7 +8,7 @@ from gateway import config
 from gateway.errors import ConfigError
 from protocols.cubemars import plugin
 from protocols.cubemars.options import Options
-from protocols.cubemars.table import MIT, SERVO, V3
+from protocols.cubemars.table import MIT, MODELS, SERVO, V3
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Mode, Position, Stop, Torque, Velocity
 from protocols.plugin import Device
@@ -140,7 +140,7 @@ def test_a_model_that_is_not_known_in_a_mode_is_refused() -> None:
 
 def test_a_reply_with_the_motors_own_id_is_told_from_a_returned_command() -> None:
     """Address 1 at −12.4 rad: the first byte of the command is that of a reply of this motor."""
-    device = Device("m", 1, Options(mode="mit", reply_id=1), plugin.settings())
+    device = Device("m", 1, Options(mode="mit"), plugin.settings())
     driver, twin = plugin.driver([device]), plugin.twin(device, 0)
     place = -12.5 + 25.0 * 0x0101 / 0xFFFF
     truth = [Feedback("m", 0, place, 0.0)]
@@ -156,6 +156,45 @@ def test_a_reply_with_the_motors_own_id_is_told_from_a_returned_command() -> Non
     measured = [each.position for each in seen if isinstance(each, Feedback)]
     assert measured
     assert measured == pytest.approx([place] * len(measured), abs=1e-3)
+
+
+@pytest.mark.parametrize(("stated", "answers"), [(-1, {0, 1}), (0, {0}), (1, {1}), (0x21, {0x21})])
+def test_replies_count_on_0_and_on_the_motors_own_id_unless_one_is_stated(
+    stated: int, answers: set[int]
+) -> None:
+    """The vendor's manual V1.0.17 (5.3) has "0x00 + Drive ID"; early firmware, like the mini-cheetah's, 0."""
+    device = Device("m", 1, Options(mode="mit", sole_host=True, reply_id=stated), plugin.settings())
+    reply = bytes.fromhex("01851e8008004600")
+    heard = {
+        number
+        for number in (0, 1, 2, 0x21)
+        if any(isinstance(e, Feedback) for e in plugin.driver([device]).receive(1, CanFrame(number, reply)))
+    }
+    assert heard == answers
+    assert {mask[0] for mask in plugin.spec(device).expects} == answers
+    twin = plugin.twin(device, 0)
+    twin.step(0, [])
+    twin.receive(1, MIT.encode("exit", 1))
+    (answered,) = twin.step(MILLISECOND, [])[1]
+    assert isinstance(answered, CanFrame)
+    assert answered.id == (1 if stated < 0 else stated)
+
+
+def test_ends_are_those_of_the_vendors_latest_manual() -> None:
+    """AK Series Module Driver User Manual V1.0.17, 5.3; that of AK60-6 was changed in V1.0.6."""
+    manual = {
+        "AK10-9": (50.0, 65.0),
+        "AK60-6": (45.0, 15.0),
+        "AK70-10": (50.0, 25.0),
+        "AK80-6": (76.0, 12.0),
+        "AK80-9": (50.0, 18.0),
+        "AK80-64": (8.0, 144.0),
+        "AK80-8": (37.5, 32.0),
+        "AK45-36": (6.0, 34.0),
+        "AK45-10": (20.0, 8.0),
+        "AK40-10": (45.5, 5.0),
+    }
+    assert {name: MODELS[name] for name in manual} == {name: (12.5, *ends) for name, ends in manual.items()}
 
 
 @pytest.mark.parametrize(

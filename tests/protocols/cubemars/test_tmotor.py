@@ -112,7 +112,7 @@ def twin_of(options: Options) -> CubeMarsTwin:
 def test_it_enters_holds_zeroes_and_leaves_mit_mode() -> None:
     twin = twin_of(Options(mode="mit"))
     first, *_, held, off, zeroed, ignored = run(MIT, twin, 0.2)
-    assert first[:2] == pytest.approx([0, 0.2], abs=1e-3)
+    assert first[:2] == pytest.approx([1, 0.2], abs=1e-3)
     assert first[4:] == [70, 0]  # °C and 40, which it leaves; no error
     assert held[1] == pytest.approx(0.5, abs=0.05)
     assert off[1] == pytest.approx(held[1], abs=0.05)

@@ -34,6 +34,11 @@ SENT: dict[str, tuple[str, dict[str, float], Obeyed]] = {
         {"value": 180.0, "fastest": 50_000.0, "ramp": 300_000.0},
         msg.Position("m", math.pi),
     ),
+    "servo_pos_spd_-90deg_5000erpm_30000": (
+        "SET_POS_SPD",
+        {"value": -90.0, "fastest": 5000.0, "ramp": 30_000.0},
+        msg.Position("m", -math.pi / 2),
+    ),
 }
 """Message, numbers, and what the motor obeys after it is armed."""
 PLAIN = {"enter_motor_mode": "enter", "exit_motor_mode": "exit", "set_zero": "set zero"}
@@ -41,6 +46,8 @@ FIVE = {"position": 1.0, "velocity": -2.0, "stiffness": 50.0, "damping": 1.5, "t
 CONTROL = {
     "ak80-6v2_mit_p1_v-2_kp50_kd1.5_t3": ("AK80-6", 0),
     "ak80-9_mit_p1_v-2_kp50_kd1.5_t3": ("AK80-9", 1),
+    "ak60-6_mit_p1_v-2_kp50_kd1.5_t3": ("AK60-6", 1),
+    "ak45-36_mit_p1_v-2_kp50_kd1.5_t3": ("AK45-36", 1),
 }
 """Model, and by how many steps the source differs: this one has 2ⁿ of them, the firmware 2ⁿ − 1."""
 

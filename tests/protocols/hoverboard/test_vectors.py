@@ -79,6 +79,25 @@ def test_what_a_board_reports() -> None:
     assert [e.velocity for e in upright if isinstance(e, Feedback)] == pytest.approx([298 * RPM])
 
 
+@pytest.mark.parametrize(
+    ("build", "reported"),
+    [
+        ({}, {"steer": 0, "speed": 100, "right": -27, "left": 28}),
+        ({"mirrored": False, "left_mirrored": True}, {"steer": 0, "speed": 150, "right": 118, "left": -116}),
+    ],
+    ids=["as delivered for USART (issue 346)", "both directions inverted (issue 58)"],
+)
+def test_what_real_boards_report_while_they_drive_forwards(
+    build: dict[str, bool], reported: dict[str, int]
+) -> None:
+    """Printed by users of EFeru/hoverboard-firmware-hack-FOC; signs as its `calcAvgSpeed` has them."""
+    packet = hb.FEEDBACK.encode("feedback", **reported, voltage=39.8, temperature=24.3, led=0)
+    events = [e for e in plugin.driver(board(**build)).receive(0, packet) if isinstance(e, Feedback)]
+    assert [e.velocity for e in events] == pytest.approx(
+        [abs(reported["left"]) * RPM, abs(reported["right"]) * RPM]
+    )
+
+
 def test_a_wrong_checksum_is_skipped_as_by_the_sketch() -> None:
     driver = plugin.driver(board())
     assert driver.receive(0, frame("feedback_bad_checksum")) == []

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from protocols import messages as msg
+from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
 from protocols.roboclaw import plugin
 from protocols.roboclaw import table as rt
+from protocols.roboclaw.options import Options, Settings
 from protocols.toolkit.table import Values
 
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
@@ -81,6 +84,34 @@ def test_what_is_asked(name: str) -> None:
 def test_what_else_the_sdk_sends_is_made_the_same_way(name: str) -> None:
     meaning = VECTORS[name].meaning
     assert rt.PACKETS.encode(meaning["name"], 0x80, **meaning["values"]) == bytes_of(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "share"),
+    [
+        *(("M1FORWARD", 32, 32 / 127), ("M1BACKWARD", 32, -32 / 127), ("M1FORWARD", 127, 1.0)),
+        *(("M17BIT", 127, 1.0), ("M17BIT", 1, -1.0), ("M17BIT", 64, 0.0), ("M1BACKWARD", 0, 0.0)),
+        *(("M2BACKWARD", 127, -1.0), ("M27BIT", 96, 32 / 63)),
+    ],
+)
+def test_a_set_point_of_7_bits_is_a_duty(name: str, value: int, share: float) -> None:
+    """The names, and "forward with 0 to 127", are the vendor's; 64 is the middle of the others."""
+    left, right = (Device(name, at, Options(), Settings()) for name, at in (("left", 128), ("right", 136)))
+    mine, other = (left, right) if name[1] == "1" else (right, left)
+    (field,) = rt.PACKETS.row(name).fields
+    sent = rt.PACKETS.encode(name, 0x80, **{field.name: value})
+    same = rt.PACKETS.encode(f"M{name[1]}DUTY", 0x80, duty=round(share * rt.FULL))
+    obeyed = [each for each in plugin.decoder([mine]).decode(0, sent) if not isinstance(each, msg.Kept)]
+    alike = [each for each in plugin.decoder([mine]).decode(0, same) if not isinstance(each, msg.Kept)]
+    assert obeyed == alike
+    assert bool(share) == any(isinstance(each, msg.Arm) for each in obeyed)
+    assert plugin.decoder([other]).decode(0, sent) == []
+    twin = plugin.twin(mine, 0)
+    twin.step(0, [])
+    twin.receive(1, sent)
+    (torque,), answers = twin.step(rt.GAP + 10 * msg.MILLISECOND, [])
+    assert (torque.torque > 0.0, torque.torque < 0.0) == (share > 0.0, share < 0.0)
+    assert list(answers) == [rt.ACK]
 
 
 def test_the_version_is_a_text() -> None:

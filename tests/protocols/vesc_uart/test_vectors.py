@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -11,8 +12,9 @@ from protocols import messages as msg
 from protocols.conformance import CLAUSES, check, table
 from protocols.conformance.bench import make_bench
 from protocols.conformance.random import Random
+from protocols.frames import Frame
 from protocols.line import Exchange
-from protocols.messages import Feedback, Obeyed
+from protocols.messages import MILLISECOND, Feedback, Obeyed
 from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
 from protocols.toolkit.motor_driver import Rx
@@ -90,7 +92,10 @@ GIVEN = {
 
 
 def packet(name: str) -> bytes:
-    frame = VECTORS[name].frame
+    return raw(VECTORS[name].frame)
+
+
+def raw(frame: Frame) -> bytes:
     assert isinstance(frame, bytes)
     return frame
 
@@ -150,6 +155,31 @@ def test_a_part_of_it_both_ways_and_what_a_driver_reports_of_it() -> None:
     assert feedback.velocity == pytest.approx(-12345 * math.pi / 30 / 5)
     assert feedback.torque == pytest.approx(-1.225)  # driven backwards, it takes power
     assert feedback.position == pytest.approx(-4242 * math.tau / 30)
+
+
+@pytest.mark.parametrize("duty", [0.2, -0.2])
+def test_the_supply_gives_current_to_whatever_drives_and_steps_without_sign_only_grow(duty: float) -> None:
+    """As the firmware: power into the motor is positive in both directions, what it brakes negative."""
+    twin = plugin.twin(DEVICE, 0)
+    position = velocity = 0.0
+    seen: list[Mapping[str, Any]] = []
+    for ms in range(1, 400):
+        now = ms * MILLISECOND
+        twin.step(now, [Feedback("left", now, position, velocity)])
+        sent = duty if ms < 200 else 0.1 * duty
+        twin.receive(now, PACKETS.encode("SET_DUTY", DIRECT, value=sent))
+        twin.receive(now, PACKETS.encode("GET_VALUES", DIRECT))
+        (torque,), answers = twin.step(now + MILLISECOND // 2, [])
+        velocity += torque.torque / 0.01 * 1e-3
+        position += velocity * 1e-3
+        decoded = [decode_values(answer) for each in answers for answer in Stream(FORMAT).messages(raw(each))]
+        seen += [each[1] for each in decoded if each is not None]
+    driving, braking = seen[20], seen[210]
+    assert driving["avg_motor_current"] > 1.0 > 0.0 < driving["avg_input_current"]
+    assert braking["avg_motor_current"] < -1.0 < 0.0 > braking["avg_input_current"]
+    steps = [each["tachometer_abs"] for each in seen]
+    assert steps == sorted(steps)
+    assert steps[-1] == pytest.approx(abs(seen[-1]["tachometer"]), abs=1)
 
 
 def test_the_version() -> None:
