@@ -465,7 +465,7 @@ class Gateway:
                 before = joint.mode
                 moved = joint.on_event(event)
                 if moved is None:
-                    self._note("warning", joint.name, f"a value of {event} is not finite: left out")
+                    self._notes.refuse(now, joint.name, "feedback", _not_finite(event))
                     continue
                 if isinstance(event, msg.State) and event.mode is not before:
                     level: Level = "warning" if event.mode in _BAD_MODES else "info"
@@ -730,9 +730,9 @@ def _last_command(now: Nanos, joint: Joint) -> tuple[Command, str]:
         return msg.Idle(joint.name), f"{type(error).__name__}: {error}"
 
 
-def _not_finite(request: Request) -> str:
-    """Return which number of a request is not finite, as a sentence; "" if all are."""
-    named = [(field.name, getattr(request, field.name)) for field in fields(request)]
+def _not_finite(message: Request | Event) -> str:
+    """Return which number of a message is not finite, as a sentence; "" if all are."""
+    named = [(field.name, getattr(message, field.name)) for field in fields(message)]
     wrong = [(name, value) for name, value in named if isinstance(value, float) and not isfinite(value)]
     return f"its {wrong[0][0]} is {wrong[0][1]}, and must be finite" if wrong else ""
 

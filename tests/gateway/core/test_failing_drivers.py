@@ -6,6 +6,7 @@ a seed. The judge is the device's own state at the end.
 
 from __future__ import annotations
 
+import math
 import random
 import sys
 from collections.abc import Callable, Iterable
@@ -131,6 +132,17 @@ def test_a_driver_that_returns_something_else_is_a_fault_of_its_motors_alone(
     assert any("has failed" in text and "Error: " in text for text in notes)
     rig.leave()
     assert not [each for each in rig.robot.motors if rig.world.twin(each).mode is Mode.ARMED]  # type: ignore[attr-defined]
+
+
+def test_feedback_that_is_not_finite_is_told_once_a_second_not_at_every_step() -> None:
+    rig = Rig(of_file("diffbot", stop_action="idle"))
+    rig.run(0.1)
+    (one,) = rig.gateway._drivers
+    setattr(one.driver, "receive", lambda t, _: (msg.Feedback("left", t, position=math.nan),))  # noqa: B010
+    notes = [note for tick in rig.run(0.3) for note in tick.outputs.notes if "finite" in note.text]
+    assert [(each.source, each.text) for each in notes] == [
+        ("left", "feedback: refused: its position is nan, and must be finite")
+    ]
 
 
 def test_a_line_whose_driver_returns_something_else_is_released() -> None:
