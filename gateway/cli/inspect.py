@@ -59,7 +59,10 @@ def is_whole_recording(path: Path) -> bool:
 def _own(path: Path, target: Path | None) -> int:
     """Tell of a recording of this gateway; its robot file is in it."""
     recording = read_recording(path)
-    print(f"{path.name}: a recording of this gateway, {recording.indexed} ticks")
+    ticks = (
+        f"{recording.indexed} ticks" if recording.whole else f"cut off: `gateway recover {path}` repairs it"
+    )
+    print(f"{path.name}: a recording of this gateway, {ticks}")
     print(f"`gateway replay {path}` compares it with the code of today, byte for byte; --view shows it")
     if target is not None:
         _write(target, recording.robot_text)

@@ -72,6 +72,8 @@ LIVE = ("demo", "run", "scenario", "again", "twin", "jog", "motor", "new", "cali
 """Those that must not wait for who reads their output: a robot would wait with them."""
 LINUX = (*LIVE, "view", "ask", "scan", "doctor")
 """Those that need what Linux alone has: SocketCAN, termios, real-time signals, /proc."""
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Of the disk that the output is redirected to, or that has the temporary files."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -120,6 +122,7 @@ def _main(arguments: list[str]) -> int:
     _set_log_level(options.verbose - options.quiet)
     try:
         status: int = options.run(options)
+        _flush(sys.stdout)
     except ModuleNotFoundError as error:
         if platform.system() == "Linux":
             raise
@@ -130,7 +133,9 @@ def _main(arguments: list[str]) -> int:
         print(f"gateway {options.command}:", text, sep="\n" if "\n" in text else " ", file=sys.stderr)
         return 2
     except OSError as error:
-        if error.errno not in (errno.EPIPE, errno.EIO):
+        if error.errno in FULL:
+            print(f"gateway {options.command}: {error.strerror}", file=sys.stderr)
+        elif error.errno not in (errno.EPIPE, errno.EIO):
             raise
         return 1  # the reader of our output has gone, or its terminal was closed, which is not our error
     else:
@@ -212,6 +217,15 @@ class LogHandler(logging.StreamHandler[TextIO]):
     def format(self, record: logging.LogRecord) -> str:
         """Return a record as one line: no device can write another with its texts."""
         return escaped(super().format(record), keep="\n" if record.exc_info else "")
+
+
+def _flush(stream: TextIO) -> None:
+    """Write out what is buffered. Raises the OSError of a disk that is full: what was printed is lost."""
+    try:
+        stream.flush()
+    except OSError as error:
+        if error.errno in FULL:
+            raise
 
 
 def _forget_unread(*streams: TextIO) -> None:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import cast, get_args
+
 from gateway.core.guard import STOPS_WITHIN
 from protocols import messages as msg
-from protocols.messages import SECOND, Nanos, Request
-from protocols.plugin import Driver
+from protocols.frames import CanFrame, Frame
+from protocols.line import Exchange
+from protocols.messages import SECOND, Command, Event, Nanos, Request
+from protocols.plugin import Driver, LineDriver
 
 IDENTIFY: Nanos = 5 * SECOND
 """Period in which a serial number that is demanded is asked for, until it is known."""
+_EVENTS, _FRAMES = get_args(Event), (CanFrame, bytes)
 
 
 class BusDriver:
@@ -26,6 +32,34 @@ class BusDriver:
         """When it last raised."""
         self._asked_at: Nanos | None = None
         """When serial numbers that are demanded were last asked for."""
+
+    # What a plugin returns is looked at here, where it is still known whose it is: a thing of another kind
+    # would fail later, in the guard or in a joint, and take the other drivers with it.
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        """Return what a frame reports. Raises what the driver raises, and TypeError for what is no event."""
+        return _events(self.driver.receive(t, frame))
+
+    def answer(self, t: Nanos, asked: Exchange, data: bytes) -> Sequence[Event]:
+        """Return what the answer to an exchange reports; likewise."""
+        return _events(cast("LineDriver", self.driver).answer(t, asked, data))
+
+    def send(
+        self, now: Nanos, messages: Sequence[Command | Request]
+    ) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Return the driver's own events, and what it sends; likewise, also if it sends no frames."""
+        events, frames = self.driver.send(now, messages)
+        for each in frames:
+            if not isinstance(each, _FRAMES):
+                raise TypeError(f"send returned {each!r} among the frames, which is none")
+        return _events(events), frames
+
+    def due(self) -> Nanos | None:
+        """Return when it next has to send by itself; likewise."""
+        due = self.driver.due()
+        if due is not None and not isinstance(due, int):
+            raise TypeError(f"due returned {due!r}, which is no time [ns]")
+        return due
 
     def takes(self, request: Request) -> bool:
         """True if a request is for it."""
@@ -51,3 +85,11 @@ class BusDriver:
             return False, True
         self._asked_at = now
         return True, before is not None
+
+
+def _events(given: Sequence[Event]) -> Sequence[Event]:
+    """Return the events that a driver has returned. Raises TypeError if they are none."""
+    for each in given:
+        if not isinstance(each, _EVENTS):
+            raise TypeError(f"{each!r} is returned as an event, which it is not")
+    return given

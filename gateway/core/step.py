@@ -30,7 +30,7 @@ from protocols import messages as msg
 from protocols.frames import BusState, Frame, Packet
 from protocols.line import Ended, Exchange, Line, Rank, exchange
 from protocols.messages import Command, Event, Instruction, Mode, Nanos, Request, Task
-from protocols.plugin import LineDriver, RxCounters
+from protocols.plugin import RxCounters
 
 if TYPE_CHECKING:
     from gateway.core.robot import Robot
@@ -204,7 +204,7 @@ class Gateway:
 
     def _free_due(self) -> Nanos | None:
         """Return when a driver next has to send by itself that no line keeps waiting."""
-        times = (self._call(one, None, one.driver.due) for one in self._drivers if one.bus not in self.lines)
+        times = (self._call(one, None, one.due) for one in self._drivers if one.bus not in self.lines)
         return min((due for due in times if due is not None), default=None)
 
     def _think(
@@ -385,7 +385,7 @@ class Gateway:
                 if not frame:
                     continue
             for one in self._on_bus[packet.bus]:
-                events += self._on_received(one, self._call(one, _NOTHING, one.driver.receive, t, frame))
+                events += self._on_received(one, self._call(one, _NOTHING, one.receive, t, frame))
         for name, line in self.lines.items():
             self._ended += [(now, name, each) for each in line.expire(now)]
         return events + self._decode() if at_once else events
@@ -397,8 +397,7 @@ class Gateway:
 
     def _on_answer(self, t: Nanos, bus: str, ended: Ended) -> list[Event]:
         one = self._on_bus[bus][ended.owner]
-        driver: LineDriver = one.driver  # type: ignore[assignment]
-        return self._on_received(one, self._call(one, _NOTHING, driver.answer, t, ended.exchange, ended.data))
+        return self._on_received(one, self._call(one, _NOTHING, one.answer, t, ended.exchange, ended.data))
 
     def _on_received(self, one: BusDriver, received: Sequence[Event]) -> list[Event]:
         if not received:
@@ -466,7 +465,7 @@ class Gateway:
                 before = joint.mode
                 moved = joint.on_event(event)
                 if moved is None:
-                    self._note("warning", joint.name, f"a value of {event} is not finite: left out")
+                    self._notes.refuse(now, joint.name, "feedback", _not_finite(event))
                     continue
                 if isinstance(event, msg.State) and event.mode is not before:
                     level: Level = "warning" if event.mode in _BAD_MODES else "info"
@@ -603,7 +602,7 @@ class Gateway:
             given += map(msg.Idle, one.started) if leaving else ()
             for each in given:
                 self.guard.ask(now, each)
-            sent = self._call(one, None, one.driver.send, now, given)
+            sent = self._call(one, None, one.send, now, given)
             events, frames = sent if sent is not None else (_NOTHING, _NO_FRAMES)
             self._identify(one, events)
             self._late += events
@@ -731,9 +730,9 @@ def _last_command(now: Nanos, joint: Joint) -> tuple[Command, str]:
         return msg.Idle(joint.name), f"{type(error).__name__}: {error}"
 
 
-def _not_finite(request: Request) -> str:
-    """Return which number of a request is not finite, as a sentence; "" if all are."""
-    named = [(field.name, getattr(request, field.name)) for field in fields(request)]
+def _not_finite(message: Request | Event) -> str:
+    """Return which number of a message is not finite, as a sentence; "" if all are."""
+    named = [(field.name, getattr(message, field.name)) for field in fields(message)]
     wrong = [(name, value) for name, value in named if isinstance(value, float) and not isfinite(value)]
     return f"its {wrong[0][0]} is {wrong[0][1]}, and must be finite" if wrong else ""
 

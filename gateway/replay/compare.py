@@ -479,7 +479,8 @@ def _causes(
         causes.append("the robot file is not the recorded one: " + "; ".join(changed[:_MAX_SETTINGS] + more))
     damaged = differences.get("recording")
     if damaged and all(damaged.tick <= other.tick for other in differences.values()):
-        causes.append("the recording is not as it was written: see above")
+        cut = f"the recording was cut off: `gateway recover {recording.path}` repairs it"
+        causes.append("the recording is not as it was written: see above" if recording.whole else cut)
     # Only facts of both sides, and plugins that are gone: a recorder adds some of its own (a date).
     known = {key for key in recording.facts if key in facts or key.startswith(PLUGIN)} if facts else set()
     then, today = ({key: side[key] for key in known & side.keys()} for side in (recording.facts, facts or {}))

@@ -17,6 +17,8 @@ import pytest
 from gateway.cli.terminal.output import Unblocked, unblocked
 from gateway.errors import OperatorError
 from gateway.operator import ask, socket_path
+from gateway.recording import Recorder
+from tests.gateway.bag_helpers import ROBOT
 from tests.gateway.processes import PATIENCE, TerminalProcess, eventually
 
 RUN = ("run", "bench")
@@ -136,3 +138,21 @@ def test_a_robot_ends_although_its_terminal_is_stopped(tmp_path: Path) -> None:
         assert eventually(lambda: "left: armed" in answer(tmp_path, "status"))
         process.send(signal.SIGTERM)
         assert process._process.wait(PATIENCE) == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+@pytest.mark.parametrize("command", ["schema world", "inspect a.mcap"], ids=["much", "buffered"])
+def test_a_full_disk_under_the_output_is_told_in_a_sentence(command: str, tmp_path: Path) -> None:
+    """`gateway schema world > FILE`, as a person or a service redirects it."""
+    Recorder(tmp_path / "a.mcap", ROBOT, {}).close()
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "gateway", *command.split()],
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    sentence = f"gateway {command.split()[0]}: No space left on device\n"
+    assert (done.returncode, done.stderr) == (1, sentence)

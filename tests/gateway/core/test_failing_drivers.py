@@ -6,6 +6,7 @@ a seed. The judge is the device's own state at the end.
 
 from __future__ import annotations
 
+import math
 import random
 import sys
 from collections.abc import Callable, Iterable
@@ -103,6 +104,55 @@ def test_a_driver_that_would_end_the_program_is_a_fault_as_any_other() -> None:
     one.driver.send = lambda *_: sys.exit(3)  # type: ignore[method-assign]  # the fault
     notes = [note.text for tick in rig.run(0.1) for note in tick.outputs.notes]
     assert any("has failed" in text and "SystemExit: 3" in text for text in notes)
+    rig.leave()
+    assert not [each for each in rig.robot.motors if rig.world.twin(each).mode is Mode.ARMED]  # type: ignore[attr-defined]
+
+
+OTHERS = {
+    "send": (None, 7, ((),), ((), "run"), ((), (None,)), (("event",), ())),
+    "receive": (7, ("event",), (None,)),
+    "due": ("soon", 0.5),
+}
+"""What a plugin of somebody returns by mistake."""
+
+
+@pytest.mark.parametrize(
+    ("method", "returned"), [(method, each) for method, given in OTHERS.items() for each in given], ids=repr
+)
+def test_a_driver_that_returns_something_else_is_a_fault_of_its_motors_alone(
+    method: str, returned: object
+) -> None:
+    """Defect: what is no frame failed in the text of the guard's fault, and ended the run of all drivers."""
+    rig = Rig(of_file("diffbot", stop_action="idle"))
+    rig.run(0.1)
+    rig.run(0.3, *(command_of(rig.robot, each) for each in rig.robot.motors))
+    (one,) = rig.gateway._drivers
+    setattr(one.driver, method, lambda *_: returned)
+    notes = [note.text for tick in rig.run(0.05) for note in tick.outputs.notes]
+    assert any("has failed" in text and "Error: " in text for text in notes)
+    rig.leave()
+    assert not [each for each in rig.robot.motors if rig.world.twin(each).mode is Mode.ARMED]  # type: ignore[attr-defined]
+
+
+def test_feedback_that_is_not_finite_is_told_once_a_second_not_at_every_step() -> None:
+    rig = Rig(of_file("diffbot", stop_action="idle"))
+    rig.run(0.1)
+    (one,) = rig.gateway._drivers
+    setattr(one.driver, "receive", lambda t, _: (msg.Feedback("left", t, position=math.nan),))  # noqa: B010
+    notes = [note for tick in rig.run(0.3) for note in tick.outputs.notes if "finite" in note.text]
+    assert [(each.source, each.text) for each in notes] == [
+        ("left", "feedback: refused: its position is nan, and must be finite")
+    ]
+
+
+def test_a_line_whose_driver_returns_something_else_is_released() -> None:
+    rig = Rig(of_file("diffbot_ddsm", stop_action="idle"))
+    rig.run(0.1)
+    rig.run(0.3, *(command_of(rig.robot, each) for each in rig.robot.motors))
+    (one,) = rig.gateway._drivers
+    one.driver.answer = lambda *_: ("event",)  # type: ignore[attr-defined]  # the fault
+    notes = [note.text for tick in rig.run(0.05) for note in tick.outputs.notes]
+    assert any("has failed" in text and "TypeError: 'event' is returned" in text for text in notes)
     rig.leave()
     assert not [each for each in rig.robot.motors if rig.world.twin(each).mode is Mode.ARMED]  # type: ignore[attr-defined]
 

@@ -134,6 +134,8 @@ def test_a_cut_recording_is_compared_and_not_good(recorded: Path, tmp_path: Path
     assert [d.kind for d in result.differences] == ["recording"]
     assert "it was cut; all before was compared" in result.text()
     assert result.text().startswith("the same up to its end, which is missing\n")
+    repair = f"the recording was cut off: `gateway recover {tmp_path / 'cut.mcap'}` repairs it"
+    assert result.causes == (repair,)
     assert not result.ok
     altered = compared(tmp_path / "cut.mcap", Little(gain=2.1))
     assert altered.text().startswith("NOT the same\n")

@@ -697,6 +697,10 @@ def test_inspect_knows_our_own_recordings_and_what_is_none(
     Recorder(own, ROBOT, {}).close()
     assert main(["inspect", str(own), "--write", str(target)]) == 0
     assert target.read_text() == ROBOT
+    assert f"{own.name}: a recording of this gateway, 0 ticks\n" in capsys.readouterr().out
+    own.write_bytes(own.read_bytes()[:-8])
+    assert main(["inspect", str(own)]) == 0
+    assert f"cut off: `gateway recover {own}` repairs it\n" in capsys.readouterr().out
     (tmp_path / "x.txt").write_text("hello\n")
     for path, sentence in (
         (tmp_path / "x.txt", "no recording that is known"),
