@@ -31,6 +31,22 @@ class Twist(NamedTuple):
 REST = Twist()
 
 
+class Commanded(NamedTuple):
+    """A twist, and its rate of change [m/s², rad/s²]."""
+
+    twist: Twist = REST
+    rate: Twist = REST
+
+    @property
+    def growth(self) -> float:
+        """The part of the rate that keeps to the arc, as a share of the twist per second."""
+        linear, angular, lateral = self.twist
+        rate = self.rate
+        if linear or lateral:
+            return (linear * rate.linear + lateral * rate.lateral) / (linear * linear + lateral * lateral)
+        return rate.angular / angular if angular else 0.0
+
+
 def wrap(angle: float) -> float:
     """Return the same direction in (-pi, pi] [rad]."""
     turned = math.remainder(angle, 2.0 * math.pi)

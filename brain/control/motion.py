@@ -1,22 +1,21 @@
 """The motion of a base: from a path, or a twist asked for by hand, to one command per joint.
 
 Rules. It runs with its own period, and in between only when the stop zone finds the present twist too fast.
-The twist is what the path or the hand wants, within the body's limits, approached within its accelerations,
-and at last as slow as the stop zone asks. A stop forgets it; rest with nothing to do disarms the motors.
+The twist is what the path or the hand wants, within the body's limits, approached within its accelerations
+and jerks, and as slow as the stop zone asks. A stop forgets it; rest with nothing to do disarms the motors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import hypot
 from typing import Any, Protocol
 
 from brain.belief import Pose
+from brain.bodies.base_profile import approach
 from brain.bodies.body import Base
-from brain.bodies.plane import REST, Twist
+from brain.bodies.plane import REST, Commanded, Twist
 from brain.control.carry import Carry
-from brain.control.profile import Commanded, approach
 from brain.control.pursuit import Pursuit, PursuitSettings
 from brain.planning.polyline import Point
 from protocols import messages as msg
@@ -31,12 +30,12 @@ LEAST_READY = 0.02
 class Protection(Protocol):
     """What protects the base (`brain.planning.stop_zone`)."""
 
-    def is_too_fast(self, twist: Twist) -> bool:
-        """Return whether what was seen since the last call makes this twist too fast."""
+    def is_too_fast(self, now: Commanded) -> bool:
+        """Return whether what was seen since the last call makes this motion too fast."""
         ...
 
-    def allowed(self, previous: Twist, desired: Twist, wanted: Twist, dt: float) -> Twist:
-        """Return the next twist: the desired one, or a slower one."""
+    def allowed(self, before: Commanded, desired: Commanded, wanted: Twist, dt: float) -> Commanded:
+        """Return the next motion: the desired one, or a slower one."""
         ...
 
 
@@ -149,7 +148,7 @@ class MotionControl:
 
     def is_due(self, now: Nanos, zone: Protection) -> bool:
         """Return whether a step is due now; if not, `commands` stay."""
-        return self._due is None or now >= self._due or zone.is_too_fast(self.twist)
+        return self._due is None or now >= self._due or zone.is_too_fast(self.commanded)
 
     def step(self, now: Nanos, inputs: MotionInputs, zone: Protection) -> Sequence[Command]:
         """Return new commands, one per motor."""
@@ -168,8 +167,7 @@ class MotionControl:
         if ready < 1.0:
             slower = wanted.scaled(max(ready, LEAST_READY))
             desired = approach(before, slower, since, self.body)
-        twist = zone.allowed(before.twist, desired.twist, wanted, since)
-        self.commanded = desired if twist == desired.twist else _rated(before.twist, twist, since, self.body)
+        self.commanded = zone.allowed(before, desired, wanted, since)
         self.commands = self._actuated(now, inputs.busy, since)
         return self.commands
 
@@ -213,11 +211,3 @@ class MotionControl:
         held = [motor for motor in joints if self._armed.get(motor)]
         self.commands = tuple(msg.Hold(one) if one in held else msg.Idle(one) for one in self._motors)
         return self.commands
-
-
-def _rated(before: Twist, after: Twist, dt: float, body: Base) -> Commanded:
-    """Return a twist that an obstacle asked for, with the rate of change from which to go on."""
-    linear, angular, lateral = ((b - a) / dt for a, b in zip(before, after, strict=True))
-    share = min(1.0, body.max_linear_acceleration / max(hypot(linear, lateral), 1e-9))
-    most = body.max_angular_acceleration
-    return Commanded(after, Twist(linear * share, min(max(angular, -most), most), lateral * share))

@@ -23,9 +23,9 @@ from typing import Annotated
 import numpy as np
 
 from brain.belief import Floats, Pose
+from brain.bodies.base_profile import JERK, clamp
 from brain.bodies.body import Base
 from brain.bodies.plane import REST, Twist, arc, wrap
-from brain.control.profile import JERK, clamp
 from brain.control.track import TrackPlace, TrackRun, longest, runs
 from brain.planning.polyline import Point
 from protocols.bounds import Bounds, Duration, Invalid, check, ordered

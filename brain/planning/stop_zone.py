@@ -5,10 +5,12 @@ reckoning since each beam was measured. The points of the last two scans of ever
 ends alone, with no neighbouring beam near, counts once the previous scan has something at the same place.
 
 A twist moves the footprint along an arc until it is within `gap` of a point (`brain.planning.outline`).
-The share of the twist is such that reaction and braking along this arc end before. If a point is within the
-gap already, no motion that brings any point nearer than that one is allowed. The base brakes along the arc
-that it is on, which was found free, until the wanted one is slow enough. A base that an obstacle makes stand
-may turn on the spot, slowly and up to `turn_gap`, so that it can leave.
+The next motion is the wanted one, or of those between that and braking the nearest to it, from which reaction
+and braking along this arc end before. Braking is limited in acceleration and jerk, from the acceleration that
+the base has: so the stop begins earlier, by what the ramps of its deceleration take (`Base.max_linear_jerk`).
+If a point is within the gap already, no motion that brings any point nearer than that one is allowed. The
+base brakes along the arc that it is on, which was found free, until the wanted one is slow enough. A base
+that an obstacle makes stand may turn on the spot, slowly and up to `turn_gap`, so that it can leave.
 
 What moves, or may (`moving`: discs with velocities), counts along its predicted way, too, until the base
 stands: the share is such that the disc does not come within the gap while a corner is faster than `STANDS`.
@@ -17,8 +19,9 @@ might step out ahead, at `walk`, the same holds down to `hidden_speed`: it makes
 
 Not seen, and therefore not protected: what no lidar's plane meets (glass, table tops), what is nearer than a
 lidar's `range_min`, and everything on a robot without a lidar, which is not slowed either. Driving where no
-lidar looks, as backward with one of 180°, is limited to `blind_speed`; turning is not. The body's limit of
-jerk does not count for braking here.
+lidar looks, as backward with one of 180°, is limited to `blind_speed`; turning is not. What appears nearer
+than the base can stop is braked for by the same rule; a body with a `stop_deceleration` brakes for that at
+once, and so hard.
 """
 
 from __future__ import annotations
@@ -33,8 +36,10 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
+from brain.bodies.base_profile import along, approach, braked
 from brain.bodies.body import Base
-from brain.bodies.plane import Twist, wrap
+from brain.bodies.joint_profile import JointState, stopping
+from brain.bodies.plane import Commanded, Twist, wrap
 from brain.perception.body_scan import Bools
 from brain.perception.mount import Mount
 from brain.planning.outline import Outline
@@ -89,12 +94,15 @@ BEGIN = 0.03
 """m/s of a corner, with which a base that begins to move is judged"""
 TOUCHING = 1e-3
 """m: less nearer is no nearer"""
-STANDS = 0.05
-"""m/s of a corner, below which a person that walks into the base is not the base's contact"""
+STANDS = 0.035
+"""m/s of a corner, up to which a base may move wherever people walk; from 0.05 on a contact is its own"""
 MAX_MOVING, MOMENTS, LONGEST = 8, 10, 3.0
 """Moving obstacles that count, the nearest; moments looked at until the base stands; s of them"""
 HIDES = 0.8
 """m by which neighbouring beams differ if a person fits behind the nearer one"""
+MOST_SHARE, NEARLY = 2.0, 0.995
+"""Share of braking that counts at most where there is room without end; share of what is between braking and
+the desired motion, for which there must be room"""
 SHARES = np.array([1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.0])
 """Shares of a twist that are tried"""
 
@@ -203,40 +211,69 @@ class StopZone:
             self._points = np.hstack([p for view in self._views.values() for p in (view.kept, view.before)])
             self._edges = np.hstack([view.edges for view in self._views.values()])
 
-    def is_too_fast(self, twist: Twist) -> bool:
-        """Return whether a scan since the last call shows that this twist is too fast."""
+    def is_too_fast(self, now: Commanded) -> bool:
+        """Return whether a scan since the last call shows that this motion is too fast."""
         fresh, self._fresh = self._fresh, False
-        return fresh and self._share(twist, self._near(twist), self.settings.gap)[0] < 1.0
+        return fresh and self._share(now, self._near(now.twist), self.settings.gap)[0] < 1.0
 
-    def allowed(self, previous: Twist, desired: Twist, wanted: Twist, dt: float) -> Twist:
-        """Return the next twist, dt [s] after the previous: the desired one (within the accelerations, on its
-        way to the wanted one), or what can be stopped in time."""
-        tried = self._tried(desired, wanted)
-        points = self._near(tried)
-        share, away = self._share(tried, points, self.settings.gap)
-        result = desired
-        if share < 1.0:
-            slower, braked = tried.scaled(share), self._braked(previous, dt)
-            result = slower if tried == desired or self._fast(slower) < self._fast(desired) else desired
-            if result.speed < braked.speed or abs(result.angular) < abs(braked.angular):
-                result = braked
-            if max(result.speed, previous.speed) < SLOWEST:
-                turned = self._turned(previous, wanted, dt, points)
-                result = turned if abs(turned.angular) > abs(result.angular) else result
-        self._report(wanted, result, share, away, dt)
+    def allowed(self, before: Commanded, desired: Commanded, wanted: Twist, dt: float) -> Commanded:
+        """Return the next motion, dt [s] after the one before: the desired one, on its way to the wanted
+        twist, or one that can be stopped in time; all of them within accelerations and jerks."""
+        aim, share, away = self._seen(before, desired, dt)
+        points = self._near(aim.twist, before.twist)
+        result, before_points, near = self._slowed(before, aim, wanted, points, self.settings.gap, dt)
+        if before_points < 1.0:
+            share, away = before_points, near
+            begins = self._share(self._beginning(wanted), points, self.settings.gap)[0] >= 1.0
+            if max(result.twist.speed, before.twist.speed) < SLOWEST and not begins:
+                turned = self._turned(before, wanted, points, dt)
+                result = turned if abs(turned.twist.angular) > abs(result.twist.angular) else result
+        self._report(wanted, result.twist, share, away, dt)
         return result
+
+    def _seen(self, before: Commanded, desired: Commanded, dt: float) -> tuple[Commanded, float, float]:
+        """Return the desired motion, or a slower one towards where no lidar looks, which share of it that is,
+        and how far away the reason is [m]: nowhere."""
+        twist, most = self._peak(desired)[0], self.settings.blind_speed
+        if twist.speed <= most or not self._is_blind(twist):
+            return desired, inf, inf
+        share = most / twist.speed
+        return approach(before, twist.scaled(share), dt, self.body), share, inf
+
+    def _slowed(
+        self, before: Commanded, desired: Commanded, wanted: Twist, points: Floats, gap: float, dt: float
+    ) -> tuple[Commanded, float, float]:
+        """Return the motion nearest to the desired one, and not slower than braking, from which the base can
+        stop; the share of the desired one from which it could, and how far away the reason is [m]."""
+        tried = self._tried(desired, wanted)
+        share, away = self._share(tried, points, gap)
+        if share >= 1.0:
+            return desired, share, away
+        stop = braked(before, dt, self.body)
+        least = min(self._share(stop, points, gap)[0], MOST_SHARE)
+        if least < 1.0:
+            return stop if self.body.stop_deceleration is None else self._hard(before.twist, dt), share, away
+        if tried is not desired:
+            slow = self._fast(desired.twist) <= share * self._fast(tried.twist)
+            return desired if slow else stop, share, away
+        mixed = _between(stop, desired, (least - 1.0) / (least - share))
+        free = self._share(mixed, points, gap)[0] >= NEARLY
+        return mixed if free else stop, share, away
 
     def _fast(self, twist: Twist) -> float:
         """Return the most that a corner of the footprint may move [m/s]."""
         return twist.speed + self._outline.radius * abs(twist.angular)
 
-    def _tried(self, desired: Twist, wanted: Twist) -> Twist:
-        """Return the twist to judge: of a base that only begins to move a little more than the desired one,
+    def _tried(self, desired: Commanded, wanted: Twist) -> Commanded:
+        """Return the motion to judge: of a base that only begins to move a little more than the desired one,
         which hardly moves yet and so would always be free."""
-        fast = self._fast(wanted)
-        if self._fast(desired) >= BEGIN or fast <= 0.0:
+        if self._fast(self._peak(desired)[0]) >= BEGIN or not any(wanted):
             return desired
-        return wanted.scaled(min(1.0, BEGIN / fast))
+        return self._beginning(wanted)
+
+    def _beginning(self, wanted: Twist) -> Commanded:
+        """Return the wanted twist as it is when a base begins to move."""
+        return Commanded(wanted.scaled(min(1.0, BEGIN / max(self._fast(wanted), 1e-9))))
 
     def take_notes(self) -> list[str]:
         """Return the notes for the operator since the last call."""
@@ -276,9 +313,10 @@ class StopZone:
     def _reach(self) -> float:
         """Return how far from the origin a point may matter until the next scans [m]."""
         body, settings = self.body, self.settings
-        stopping = body.max_linear**2 / (2.0 * body.max_linear_acceleration)
+        fastest = Twist(body.max_linear)
+        braking = body.max_linear * stopping(JointState(0.0, 1.0), along(fastest, body)).goal
         driven = body.max_linear * (seconds(settings.latency) + HORIZON)
-        return self._outline.radius + self._outline.longest * settings.gap + stopping + driven
+        return self._outline.radius + self._outline.longest * settings.gap + braking + driven
 
     def _note_own(self, name: str, count: int) -> None:
         if count > 2 and name not in self._own_seen:
@@ -301,10 +339,14 @@ class StopZone:
 
     # -- twist --------------------------------------------------------------------------------
 
-    def _near(self, twist: Twist) -> Floats:
-        """Return the points (2 × n) in the robot's frame that the footprint can reach while it stops."""
-        time = seconds(self.settings.latency) + self._to_rest(twist)
-        outline, driven = self._outline, twist.speed * time
+    def _near(self, *twists: Twist) -> Floats:
+        """Return the points (2 × n) in the robot's frame that the footprint can reach while it stops from any
+        of these twists."""
+        outline, driven = self._outline, 0.0
+        for twist in twists:
+            accelerating = 1.0 / (along(twist, self.body).jerk * max(self._to_rest(twist), 1e-9))
+            time = seconds(self.settings.latency) + self._to_rest(twist) + 2.0 * accelerating
+            driven = max(driven, twist.speed * time)
         reach = outline.radius + outline.longest * self.settings.gap + driven
         x, y = self._points[0] - self._here.x, self._points[1] - self._here.y
         near = x * x + y * y < reach * reach
@@ -312,28 +354,39 @@ class StopZone:
         c, s = cos(self._here.yaw), sin(self._here.yaw)
         return np.array([c * x + s * y, c * y - s * x])
 
-    def _share(self, twist: Twist, points: Floats, gap: float) -> tuple[float, float]:
-        """Return the share of a twist from which the base can stop, and how far away along its arc the point
-        is for which it must [m]; inf if it is another reason.
+    def _peak(self, motion: Commanded) -> tuple[Twist, float, float]:
+        """Return the fastest twist that a motion still comes to when it is braked, the time [s] at that
+        before it seems to brake at once, reaction included, and the time in which all of it is braked."""
+        limits, grows, ramp = along(motion.twist, self.body), motion.growth, 0.0
+        twist = motion.twist
+        if grows > 0.0:
+            ramp = grows / limits.jerk
+            twist = twist.scaled(1.0 + grows * ramp / 2.0)
+            limits, grows = along(twist, self.body), 0.0
+        whole = self._to_rest(twist)
+        stop = stopping(JointState(0.0, 1.0, max(grows, -limits.acceleration)), limits)
+        return twist, seconds(self.settings.latency) + ramp + stop.goal - whole / 2.0, whole
+
+    def _share(self, motion: Commanded, points: Floats, gap: float) -> tuple[float, float]:
+        """Return the share of a motion from which the base can stop (more than 1: there is room left), and
+        how far away along its arc the point is for which it must [m]; inf if it is another reason.
 
         Reaction and braking: r·share + T·share²/2 <= time, with T the time in which all of it is braked."""
-        share, away = 1.0, inf
+        twist, reaction, whole = self._peak(motion)
+        share, away = inf, inf
         time, grown = self._outline.contact(points, twist, gap) if any(twist) and points.size else (inf, gap)
         if isfinite(time):
-            reaction, braking = seconds(self.settings.latency), self._to_rest(twist)
-            share = min((sqrt(reaction**2 + 2.0 * braking * time) - reaction) / braking, 1.0)
+            share = (sqrt(reaction**2 + 2.0 * whole * time) - reaction) / whole
             away = grown + twist.speed * time
         if self._moving.size and self._fast(twist) > STANDS:
-            before_moving, near = self._before_moving(twist, gap, self._moving)
-            if before_moving < share:
+            before_moving, near = self._before_moving(twist, gap, self._moving, reaction, whole)
+            if before_moving < min(share, 1.0):
                 share, away = before_moving, near
         least = self.settings.hidden_speed / max(twist.speed, 1e-9)
-        if self._edges.size and least < share and (edges := self._ahead(twist)).size:
-            hidden, near = self._before_moving(twist, gap, edges)
-            if max(hidden, least) < share:
+        if self._edges.size and least < min(share, 1.0) and (edges := self._ahead(twist)).size:
+            hidden, near = self._before_moving(twist, gap, edges, reaction, whole)
+            if max(hidden, least) < min(share, 1.0):
                 share, away = max(hidden, least), near
-        if self.settings.blind_speed < share * twist.speed and self._is_blind(twist):
-            return self.settings.blind_speed / twist.speed, inf
         return share, away
 
     def _is_blind(self, twist: Twist) -> bool:
@@ -353,13 +406,14 @@ class StopZone:
         edges = self._edges[:, way @ off > self._outline.radius * twist.speed]
         return np.vstack([edges, np.zeros((3, edges.shape[1])), np.full((1, edges.shape[1]), 1e6)])
 
-    def _before_moving(self, twist: Twist, gap: float, discs: Floats) -> tuple[float, float]:
+    def _before_moving(
+        self, twist: Twist, gap: float, discs: Floats, reaction: float, whole: float
+    ) -> tuple[float, float]:
         """Return the largest share of a twist with which the base stands before something that moves comes
         within the gap, and how far away that is [m]."""
         x, y, vx, vy, radius, sigma = self._nearest(discs, MAX_MOVING)
         away = np.hypot(x - self._here.x, y - self._here.y)
         grows = np.minimum(self.settings.doubt * sigma, self.settings.walk)
-        reaction, whole = seconds(self.settings.latency), self._to_rest(twist)
         # from a share of the twist no corner is faster than STANDS after this time
         fast = self._fast(twist)
         until = reaction + whole * np.maximum(SHARES - STANDS / fast, 0.0)
@@ -387,18 +441,20 @@ class StopZone:
         """Return the time [s] to brake a twist along its arc, within both accelerations."""
         return self.body.to_rest(twist)
 
-    def _braked(self, twist: Twist, dt: float) -> Twist:
-        """Return a twist after braking for dt [s] along its arc, as hard as the body may."""
-        body = self.body
+    def _hard(self, twist: Twist, dt: float) -> Commanded:
+        """Return the motion after braking for dt [s] along its arc at once, as hard as the body may before
+        what is too near for the ordinary stop."""
+        body, whole = self.body, max(self._to_rest(twist), 1e-9)
         harder = (body.stop_deceleration or body.max_linear_acceleration) / body.max_linear_acceleration
-        return twist.scaled(1.0 - dt * harder / max(self._to_rest(twist), dt * harder, 1e-9))
+        share = max(1.0 - dt * harder / whole, 0.0)
+        return Commanded(twist.scaled(share), twist.scaled(-1.0 / whole) if share else Twist())
 
-    def _turned(self, previous: Twist, wanted: Twist, dt: float, points: Floats) -> Twist:
+    def _turned(self, before: Commanded, wanted: Twist, points: Floats, dt: float) -> Commanded:
         """Return a slow turn on the spot towards the wanted side, as far as there is room for it."""
-        slow, step = self.settings.blind_speed / self._outline.radius, self.body.max_angular_acceleration * dt
-        target = max(min(wanted.angular, slow), -slow)
-        turn = Twist(0.0, max(min(target, previous.angular + step), previous.angular - step))
-        return turn.scaled(self._share(turn, points, self.settings.turn_gap)[0])
+        slow = self.settings.blind_speed / self._outline.radius
+        turn = Twist(0.0, max(min(wanted.angular, slow), -slow))
+        desired = approach(before, turn, dt, self.body)
+        return self._slowed(before, desired, turn, points, self.settings.turn_gap, dt)[0]
 
     def _report(self, wanted: Twist, result: Twist, share: float, away: float, dt: float) -> None:
         """Set the reason, with hysteresis: noise of the ranges must not make it flicker."""
@@ -414,6 +470,15 @@ class StopZone:
         way = _way(wanted)
         near = f"obstacle {max(away, 0.0):.2f} m {way}" if isfinite(away) else f"no lidar looks {way}"
         self.reason = f"{near}: {'standing' if stands else 'slow'}"
+
+
+def _between(stop: Commanded, desired: Commanded, part: float) -> Commanded:
+    """Return a motion this part of the way from one to the other."""
+    twist, rate = (
+        Twist(*(a + part * (b - a) for a, b in zip(*pair, strict=True)))
+        for pair in zip(stop, desired, strict=True)
+    )
+    return Commanded(twist, rate)
 
 
 def _way(twist: Twist) -> str:

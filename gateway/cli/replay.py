@@ -86,10 +86,10 @@ def run(options: Namespace) -> int:
         lines, same = only(options.file, options)
         print("\n".join(map(escaped, lines)))
         return 0 if same else 1
+    if is_bag(options.file):  # first: a log of CARMEN and a table have names that logs of CAN have
+        return _evaluate(options)
     if is_log(options.file):
         return _hear(options)
-    if is_bag(options.file):
-        return _evaluate(options)
     for option, value in (("--at-most", options.at_most), ("--truth", options.truth)):
         if value is not None:
             text = f"{options.file} is a recording of this gateway: {option} is for bags and logs only"

@@ -39,8 +39,8 @@ DAMAGED = "a damaged line"
 NAMES = (".clf", ".log")
 LATEST, FARTHEST = 2.0**62, 1e9
 """ns, and m or rad: what is beyond is damage."""
-LOOKED_AT = 50
-"""Lines at the beginning, one of which tells that this is a log."""
+LOOKED_AT, EXPLAINED = 50, 1000
+"""Lines at the beginning, one of which tells that this is a log; those of explanation before it."""
 
 
 class CarmenPose(NamedTuple):
@@ -104,12 +104,26 @@ def is_carmen(path: Path) -> bool:
         return False
     try:
         with _opened(path) as file:
-            lines = [file.readline(LONGEST) for _ in range(LOOKED_AT)]
+            lines = _first(file)
     except (OSError, EOFError, ValueError, lzma.LZMAError, zlib.error):
         return any(name in path.suffixes for name in NAMES)  # packed, and damaged
     return any(line.startswith(("# message_name [message contents]", "# CARMEN")) for line in lines) or any(
         len(fields := line.split()) > 6 and fields[0] in LINES and _is_number(fields[-1]) for line in lines
     )
+
+
+def _first(file: Any) -> list[str]:  # noqa: ANN401 -- as `_opened` returns it
+    """Return the first lines: so many, not counting those of explanation."""
+    lines, said = list[str](), 0
+    while said < LOOKED_AT and len(lines) < LOOKED_AT + EXPLAINED and (line := file.readline(LONGEST)):
+        lines.append(line)
+        said += not _explains(line.split())
+    return lines
+
+
+def _explains(fields: list[str]) -> bool:
+    """Return whether a line is a comment, or of the program that logged."""
+    return not fields or fields[0].startswith("#") or fields[0] in ("PARAM", "SYNC")
 
 
 def _opened(path: Path) -> Any:  # noqa: ANN401 -- of text, by four libraries
@@ -199,7 +213,7 @@ class CarmenLog:
             with _opened(self._path) as file:
                 while line := file.readline(LONGEST):
                     fields = line.split()
-                    if not fields or fields[0].startswith("#") or fields[0] in ("PARAM", "SYNC"):
+                    if _explains(fields):
                         self._parameter(fields)
                         continue
                     if not line.endswith("\n") and not self._is_whole(fields):

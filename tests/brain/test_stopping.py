@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import pi
+from math import pi, sqrt
 
 import numpy as np
 import pytest
@@ -139,7 +139,9 @@ def test_the_command_falls_in_the_very_step_in_which_the_scan_shows_the_obstacle
     assert office.now % (SECOND // 10) == 0
     while office.speed > 0.58:
         trip.tick([msg.Drive(0.6, 0.0)])
-    assert seconds(office.now - appeared) <= 0.15
+    slower, jerk = 0.02, 0.7 * ROBOT.max_linear_jerk  # by how much it is then, and the ramp to that
+    ramp = sqrt(2.0 * slower / jerk) - slower / ROBOT.max_linear_acceleration
+    assert seconds(office.now - appeared) <= 0.15 + ramp
 
 
 def test_a_stronger_deceleration_is_used_before_what_is_too_near_for_the_ordinary_one() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.bodies.body import Base
-from brain.bodies.plane import REST, Twist, arc
+from brain.bodies.plane import REST, Commanded, Twist, arc
 from brain.control.motion import MotionControl, MotionInputs
 from brain.control.pursuit import PursuitSettings
 from brain.planning.polyline import Point
@@ -33,10 +33,10 @@ class Path:
 class Free:
     """No obstacle anywhere."""
 
-    def is_too_fast(self, twist: Twist) -> bool:
+    def is_too_fast(self, now: Commanded) -> bool:
         return False
 
-    def allowed(self, previous: Twist, desired: Twist, wanted: Twist, dt: float) -> Twist:
+    def allowed(self, before: Commanded, desired: Commanded, wanted: Twist, dt: float) -> Commanded:
         return desired
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from brain.belief import Pose
-from brain.bodies.plane import Twist
+from brain.bodies.plane import Commanded, Twist
 from brain.control.motion import MotionControl, MotionInputs
 from brain.control.pursuit import PursuitSettings
 from protocols import messages as msg
@@ -18,12 +18,12 @@ LYING = dict(zip(BODY.joints, (0.0, 1.4, -2.6) * 4, strict=True))
 class Free:
     """A stop zone that sees nothing."""
 
-    def is_too_fast(self, twist: Twist) -> bool:
-        del twist
+    def is_too_fast(self, now: Commanded) -> bool:
+        del now
         return False
 
-    def allowed(self, previous: Twist, desired: Twist, wanted: Twist, dt: float) -> Twist:
-        del previous, wanted, dt
+    def allowed(self, before: Commanded, desired: Commanded, wanted: Twist, dt: float) -> Commanded:
+        del before, wanted, dt
         return desired
 
 

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from brain.belief import Floats, Pose
-from brain.bodies.plane import Twist, arc
+from brain.bodies.base_profile import approach
+from brain.bodies.plane import Commanded, Twist, arc
 from brain.perception.mount import Mount
 from brain.planning.outline import Outline
 from brain.planning.stop_zone import MAX_POINTS, StopSettings, StopZone
 from protocols.messages import MILLISECOND, LaserScan, Nanos, seconds
+from tests.brain.control.ride import jerk
 from tests.brain.helpers import BODY
 from tests.brain.perception.office import box, ranges
 
@@ -86,14 +88,19 @@ class Base:
         """Of a scan; negative: clockwise, its first beam is the newest"""
         self.zone = StopZone(ROBOT, self.mounts, StopSettings(**settings))  # type: ignore[arg-type]  # numbers
         self.random = np.random.Generator(np.random.PCG64(1))
-        self.twist = Twist()
+        self.commanded = Commanded()
         self.delayed = [self.twist] * 6
+        self.track = [self.twist]
         self.nearest, self.reasons = inf, [""]
         self.walkers: list[Walker] = []
         self.struck: list[float] = []
         """The most that a corner moved [m/s] in each step in which a walker touched it"""
         dense = [np.linspace((a, b), (c, d), 150) for a, b, c, d in self.walls]
         self.dense = np.concatenate(dense)
+
+    @property
+    def twist(self) -> Twist:
+        return self.commanded.twist
 
     def scan(self, name: str = "front", count: int = 360) -> LaserScan:
         """The scan that ends now, of a base that has moved during the sweep as it does now."""
@@ -129,7 +136,9 @@ class Base:
                 walker.step(seconds(STEP))
             events = [self.scan(name) for name in self.fields if look and self.now % SCAN == 0]
             self.zone.observe(self.now, self.pose, events, self.walkers)
-            self.twist = self.zone.allowed(self.twist, wanted, wanted, seconds(STEP))
+            desired = approach(self.commanded, wanted, seconds(STEP), ROBOT)
+            self.commanded = self.zone.allowed(self.commanded, desired, wanted, seconds(STEP))
+            self.track.append(self.twist)
             self.delayed.append(self.twist)
             if self.zone.reason != self.reasons[-1]:
                 self.reasons.append(self.zone.reason)
@@ -182,6 +191,8 @@ def test_it_stops_before_what_the_footprint_would_meet(
     base.drive(wanted, 5.0)
     assert (0.005 if wanted[1] else 0.04) < base.nearest < 0.075
     assert any(reason.endswith("slow" if wanted[1] else "standing") for reason in base.reasons)
+    for limit, values in zip((10.0, 50.0, 10.0), zip(*base.track, strict=True), strict=True):
+        assert jerk(values, seconds(STEP)) <= limit + 1e-6
     if not all(wanted[:2]):  # on an arc it turns away, slowly, and goes on along the wall
         assert sum(map(abs, base.twist)) < 0.01
 
@@ -212,8 +223,8 @@ def test_within_the_gap_only_what_comes_no_nearer_is_allowed(wanted: Twist, free
     base = Base(box(0.22, -2.0, 0.3, 2.0) + box(-2.0, 0.15, 0.3, 0.2), turn_gap=0.05)
     base.drive((0.0, 0.0), 0.3)
     base.random = np.random.Generator(np.random.PCG64(2))
-    twist = base.zone.allowed(Twist(), wanted, wanted, 0.01)
-    assert twist == wanted if free else sum(map(abs, twist)) < 0.015
+    base.drive(tuple(wanted), 1.0, look=False)
+    assert base.twist == wanted if free else sum(map(abs, base.twist)) < 0.015
 
 
 def test_a_base_that_stands_before_a_wall_can_turn_away_slowly_and_leave() -> None:
@@ -237,7 +248,7 @@ def beams(zone: StopZone, t: Nanos, **short: float) -> Twist:
         read[int(name[1:])] = value
     scan = LaserScan("front", t, -pi, pi / 180.0, 0.05, 10.0, tuple(read))
     zone.observe(t, Pose(0.0, 0.0, 0.0), [scan])
-    return zone.allowed(FULL, FULL, FULL, 0.01)
+    return zone.allowed(Commanded(FULL), Commanded(FULL), FULL, 0.01).twist
 
 
 def test_one_beam_alone_is_speckle_until_it_is_there_again() -> None:
@@ -318,10 +329,13 @@ def test_only_creeping_where_no_lidar_looks(
 def test_what_is_no_scan_changes_nothing(change: dict[str, float | str | Sequence[float]]) -> None:
     base = Base(box(0.4, -2.0, 0.6, 2.0))
     base.drive((0.0, 0.0), 0.2)
-    before = base.zone.allowed(Twist(), FULL, FULL, 0.01)
+    base.drive(FULL, 0.3, look=False)
+    other = copy.deepcopy(base)
     base.zone.observe(base.now, base.pose, [replace(base.scan(), **{"t": base.now + 1} | change)])  # type: ignore[arg-type]  # wrong on purpose
-    assert 0.0 < before[0] < 0.5
-    assert base.zone.allowed(Twist(), FULL, FULL, 0.01) == before
+    for one in (base, other):
+        one.drive(FULL, 0.1, look=False)
+    assert 0.0 < base.twist.linear < 0.5
+    assert base.twist == other.twist
 
 
 def test_a_turn_may_come_nearer_than_a_drive_and_not_the_other_way_round() -> None:
@@ -336,7 +350,8 @@ def test_numbers_that_are_no_ranges_are_no_readings() -> None:
         base.now += SCAN
         scan = replace(base.scan(), ranges=(nan, inf, -inf, -1.0, 0.0) * 72)
         base.zone.observe(base.now, base.pose, [scan])
-    assert base.zone.allowed(Twist(), FULL, FULL, 0.01) == pytest.approx(Twist(0.1))
+    base.drive(FULL, 0.5, look=False)
+    assert base.twist == pytest.approx(Twist(0.1))
     assert base.zone.reason == "no lidar looks ahead: slow"
 
 

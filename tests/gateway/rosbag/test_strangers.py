@@ -32,6 +32,7 @@ from gateway.core.robot import CloudSlice, Robot
 from gateway.errors import BagError, ConfigError
 from gateway.recording import Recorder
 from gateway.rosbag import Bag, is_bag, read
+from gateway.rosbag.carmen import is_carmen
 from gateway.rosbag.drawn import Drawn
 from gateway.rosbag.evaluate import NOT_JUDGED, NOT_PLACED, PASSED, evaluate, evaluate_file
 from gateway.rosbag.scans import of_cloud
@@ -387,8 +388,12 @@ def test_a_path_in_a_file_is_a_truth_and_nonsense_is_a_sentence(tmp_path: Path) 
 # -- logs of CARMEN -------------------------------------------------------------------------------
 
 
-def test_a_log_is_replayed_without_a_robot_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "drive.clf"
+@pytest.mark.parametrize("name", ["drive.clf", "drive.log", "drive"])
+def test_a_log_is_replayed_without_a_robot_file(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever its name: that of `drive.log` could be one of a log of CAN."""
+    path = tmp_path / name
     path.write_text(made.carmen_log(8.0))
     assert main(["replay", str(path)]) == NOT_JUDGED
     out = capsys.readouterr().out
@@ -396,6 +401,17 @@ def test_a_log_is_replayed_without_a_robot_file(tmp_path: Path, capsys: pytest.C
     assert "odometry: 440 of 440 as odometry" in out
     assert "scans: 40, of which 0 (0.0 %) came while it was lost" in out
     assert "NOT PASSED" not in out
+
+
+def test_a_log_is_known_behind_a_long_head_and_a_text_of_comments_is_none(tmp_path: Path) -> None:
+    """Some begin with all parameters of the program that logged, 245 in a public one."""
+    head = "\n".join(f"PARAM robot_number_{n} on 1134863807.6 host 1134863807.6" for n in range(300))
+    path = tmp_path / "drive.log"
+    path.write_text(f"# message formats defined: PARAM ODOM FLASER\n{head}\n{made.carmen_log(4.0)}")
+    assert is_carmen(path)
+    assert proposed_robot(survey(path)).bag is not None
+    path.write_text("# nothing\n" * 3000 + made.carmen_log(4.0))
+    assert not is_carmen(path)
 
 
 @pytest.mark.parametrize(

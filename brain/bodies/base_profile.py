@@ -9,27 +9,19 @@ than is allowed, the speed changes more slowly. What is commanded counts, not wh
 from __future__ import annotations
 
 from math import cos, hypot, isfinite, sin
-from typing import NamedTuple
 
 from brain.bodies.body import Base
 from brain.bodies.joint_profile import JointLimits, JointState, velocity_step
-from brain.bodies.plane import REST, Twist
+from brain.bodies.plane import REST, Commanded, Twist
 
 LATE = 0.1
 """s of angular acceleration by which a base may be off its curvature until it no longer speeds up"""
-JERK = 0.7
-"""Share of the jerks that is commanded: the motors' loops add to it"""
 SLOW = 1e-3
 """m/s below which a motion has no curvature"""
+JERK = 0.7
+"""Share of the jerks that is commanded: the motors' loops add to it"""
 NOTHING = 1e-6
 """m/s and rad/s below which what shall rest does"""
-
-
-class Commanded(NamedTuple):
-    """A twist, and its rate of change [m/s², rad/s²]."""
-
-    twist: Twist = REST
-    rate: Twist = REST
 
 
 def approach(now: Commanded, wanted: Twist, dt: float, body: Base) -> Commanded:
@@ -75,6 +67,31 @@ def approach(now: Commanded, wanted: Twist, dt: float, body: Base) -> Commanded:
     angular = clamp(angular, max(body.max_angular, abs(before.angular)))
     turning = clamp(target_rate + off.acceleration, most)
     return Commanded(Twist(vx, angular, vy), Twist(ax, turning, ay))
+
+
+def along(twist: Twist, body: Base) -> JointLimits:
+    """Return the limits within which the share of a twist along its arc may change: 1/s² and 1/s³."""
+    speed, angular = max(twist.speed, 1e-9), max(abs(twist.angular), 1e-9)
+    jerk = JERK * min(body.max_linear_jerk / speed, body.max_angular_jerk / angular)
+    return JointLimits(1e3, 1.0 / max(body.to_rest(twist), 1e-9), jerk)
+
+
+def braked(now: Commanded, dt: float, body: Base) -> Commanded:
+    """Return the commanded motion dt [s] later if it brakes along its arc, within accelerations and jerks."""
+    twist, rate = now
+    if all(abs(v) + dt * abs(a) < NOTHING for v, a in zip(twist, rate, strict=True)):
+        return Commanded()
+    kept = velocity_step(JointState(0.0, 1.0, now.growth), 0.0, dt, along(twist, body))
+    # What of the rate leads off the arc goes to 0 like a joint of its own.
+    jerks = body.max_linear_jerk, body.max_angular_jerk, body.max_linear_jerk
+    off = [
+        velocity_step(JointState(0.0, 0.0, a - now.growth * v), 0.0, dt, JointLimits(1e3, 1e3, JERK * jerk))
+        for v, a, jerk in zip(twist, rate, jerks, strict=True)
+    ]
+    return Commanded(
+        Twist(*(v * kept.velocity + each.velocity for v, each in zip(twist, off, strict=True))),
+        Twist(*(v * kept.acceleration + each.acceleration for v, each in zip(twist, off, strict=True))),
+    )
 
 
 def clamp(value: float, most: float) -> float:

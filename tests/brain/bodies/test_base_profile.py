@@ -8,8 +8,9 @@ from math import hypot, inf, nan
 import numpy as np
 import pytest
 
-from brain.bodies.plane import REST, Twist
-from brain.control.profile import Commanded, approach, step
+from brain.bodies.base_profile import approach, braked, step
+from brain.bodies.differential import Differential
+from brain.bodies.plane import REST, Commanded, Twist
 from tests.brain.control.ride import PERIOD, acceleration, jerk
 from tests.brain.helpers import BODY
 
@@ -87,3 +88,26 @@ def test_no_time_no_change(dt: float) -> None:
 
 def test_a_step_is_bounded_both_ways() -> None:
     assert [step(0.0, w, 0.5) for w in (-2.0, -0.3, 0.0, 0.3, 2.0)] == [-0.5, -0.3, 0.0, 0.3, 0.5]
+
+
+@pytest.mark.parametrize("body", [BODY, ROUGH])
+def test_braking_keeps_to_the_arc_within_the_jerks_and_ends_at_rest(body: Differential) -> None:
+    """From each motion, also while it speeds up, brakes already, or changes its curvature."""
+    for twist in (Twist(0.6), Twist(-0.5, 0.7), Twist(0.0, 1.8), Twist(0.3, 0.2, -0.4), Twist(1e-4, 1e-5)):
+        for growth, turning in ((0.0, 0.0), (0.8, 0.0), (-0.9, 0.0), (0.4, 2.0), (0.0, -3.0)):
+            speed = max(twist.speed, 1e-3)
+            rate = twist.scaled(growth / speed) if twist.speed else Twist()
+            now = Commanded(twist, Twist(rate.linear, rate.angular + turning, rate.lateral))
+            track, limit = [now], 0.7 * (1.0 + 1e-6)
+            while any(track[-1].twist) or any(track[-1].rate):
+                track.append(braked(track[-1], PERIOD, body))
+                assert len(track) < 150
+            accelerations = np.array([each.rate for each in track])
+            changes = np.abs(np.diff(accelerations, axis=0)) / PERIOD
+            assert changes[:, 0].max() <= limit * body.max_linear_jerk
+            assert changes[:, 2].max() <= limit * body.max_linear_jerk
+            assert changes[:, 1].max() <= 2.0 * limit * body.max_angular_jerk  # of the arc, and off it
+            if not turning:
+                for each in track:
+                    share = sum(each.twist) / sum(twist)
+                    assert each.twist == pytest.approx(tuple(twist.scaled(share)), abs=1e-6)
