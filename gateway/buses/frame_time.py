@@ -54,19 +54,11 @@ def frame_bits(frame: CanFrame) -> tuple[int, int]:
     The rate changes at the sample point of BRS, and back at that of the CRC delimiter: a part of each is
     slow, the rest fast. Together they take one bit at each rate, wherever the sample points are: BRS counts
     as slow, the CRC delimiter as fast."""
+    if not frame.fd:
+        return _classic_bits(frame), 0
     data = padded(frame).data
-    code = frame.requested if frame.remote else bisect_left(LENGTHS, len(data))
-    bits, width = frame.id, 12  # with the start bit
-    if frame.extended:  # base id; substitute remote and extension bit, both recessive; extension
-        bits, width = frame.id >> 18 << 20 | 0b11 << 18 | frame.id & 0x3FFFF, 32
-    if not frame.fd:  # RTR; IDE and r0, or r1 and r0; length code
-        bits, width = (bits << 1 | frame.remote) << 6 | code, width + 7
-        checksum = _checksum(bits.to_bytes(5 if frame.extended else 3, "big") + data)
-        added, run = _stuff(bits, width, _START)
-        of_data, run = _stuffed(data, run)
-        of_checksum, run = _stuff(checksum >> 8, 7, run)
-        last, _ = _STUFFED[run << 8 | checksum & 0xFF]
-        return width + added + of_data + 15 + of_checksum + last + 1 + _TRAILER_BITS, 0
+    code = bisect_left(LENGTHS, len(data))
+    bits, width = _id_bits(frame.id, frame.extended)
     # RRS; IDE of a standard frame; FDF, res, BRS | ESI (dominant: error active), length code, data
     rest = 4 if frame.extended else 5
     slow, run = _stuff(bits << rest | 0b100 | frame.brs, width + rest, _START)
@@ -77,6 +69,42 @@ def frame_bits(frame: CanFrame) -> tuple[int, int]:
     # and after every fourth bit.
     checked = 4 + (21 if len(data) > 16 else 17)
     return slow + _TRAILER_BITS, fast - (run & _JUST_STUFFED) + 1 + checked + checked // 4 + 1
+
+
+def _classic_bits(frame: CanFrame) -> int:
+    """Return the bits of a classic CAN frame."""
+    data = frame.data
+    code = frame.requested if frame.remote else bisect_left(LENGTHS, len(data))
+    count, run, checksum = _head(frame.id, frame.extended, frame.remote, code)
+    for byte in data:
+        added, run = _STUFFED[run << 8 | byte]
+        count += added
+        checksum = (checksum << 8 ^ _CHECKSUMS[checksum >> 7 ^ byte]) & 0x7FFF
+    of_checksum, run = _stuff(checksum >> 8, 7, run)
+    last, _ = _STUFFED[run << 8 | checksum & 0xFF]
+    return count + 8 * len(data) + 15 + of_checksum + last + 1 + _TRAILER_BITS
+
+
+def _id_bits(number: int, extended: bool) -> tuple[int, int]:
+    """Return the bits of an id as a number, and how many they are with the start bit."""
+    if not extended:
+        return number, 12
+    # base id; substitute remote and extension bit, both recessive; extension
+    return number >> 18 << 20 | 0b11 << 18 | number & 0x3FFFF, 32
+
+
+@lru_cache(maxsize=1 << 10)
+def _head(number: int, extended: bool, remote: bool, code: int) -> tuple[int, int, int]:
+    """Return the length of a classic frame up to its length code in bits with their stuff bits, the run after
+    them, and the checksum so far."""
+    bits, width = _id_bits(number, extended)
+    # RTR; IDE and r0, or r1 and r0; length code
+    bits, width = (bits << 1 | remote) << 6 | code, width + 7
+    checksum = 0  # CRC-15, from the start bit on: zeros in front do not change it
+    for byte in bits.to_bytes(5, "big"):
+        checksum = (checksum << 8 ^ _CHECKSUMS[checksum >> 7 ^ byte]) & 0x7FFF
+    added, run = _stuff(bits, width, _START)
+    return width + added, run, checksum
 
 
 def _stuffed(data: bytes, run: int) -> tuple[int, int]:
@@ -117,15 +145,8 @@ class _Stuffed(dict[int, tuple[int, int]]):
 _STUFFED = _Stuffed()
 
 
-def _checksum(message: bytes) -> int:
-    """Return classic CAN's CRC-15 of a frame from its start bit on; zeros in front do not change it."""
-    checksum = 0
-    for byte in message:
-        checksum = (checksum << 8 ^ _CHECKSUMS[checksum >> 7 ^ byte]) & 0x7FFF
-    return checksum
-
-
 def _byte_checksum(byte: int) -> int:
+    """Return classic CAN's CRC-15 of a byte."""
     checksum = byte << 7
     for _ in range(8):
         checksum = checksum << 1 ^ (0x4599 if checksum & 0x4000 else 0)

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -383,10 +382,12 @@ def read(
     states: list[tuple[str, BusState]] = []
     packets: list[Packet] = []
     for name, bus in buses.items():
-        with _kept(errors, name):
+        try:
             changes, arrived = bus.read(now)
             states += [(name, state) for state in changes]
             packets += arrived
+        except Exception as error:  # noqa: BLE001 -- whatever it is, it keeps nothing from the others
+            _keep(errors, name, error)
     packets.sort(key=lambda packet: packet.t)
     return states, packets
 
@@ -403,20 +404,18 @@ def write(
     for name, bus in buses.items():
         frames = [p.frame for p in packets if p.bus == name]
         if frames:
-            with _kept(errors, name):
+            try:
                 bus.write(now, frames)
+            except Exception as error:  # noqa: BLE001 -- the same
+                _keep(errors, name, error)
 
 
-@contextmanager
-def _kept(errors: dict[str, Exception] | None, bus: str) -> Iterator[None]:
+def _keep(errors: dict[str, Exception] | None, bus: str, error: Exception) -> None:
     """Keep the first exception of a bus, if there is a place for it."""
-    try:
-        yield
-    except Exception as error:
-        if errors is None:
-            raise
-        error.add_note(f"bus {bus}")
-        errors.setdefault(bus, error)
+    if errors is None:
+        raise error
+    error.add_note(f"bus {bus}")
+    errors.setdefault(bus, error)
 
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

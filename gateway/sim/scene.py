@@ -116,6 +116,7 @@ class SimulatedScene:
 
     def _open_windows(self) -> None:
         """Keep arrays that show MuJoCo's memory: a look at `data` for each takes longer than what is read."""
+        self._controls: Floats = self.data.ctrl
         self._places: Floats = self.data.qpos
         self._speeds: Floats = self.data.qvel
         self._base_place: Floats = self.data.xpos[self._base]
@@ -142,7 +143,7 @@ class SimulatedScene:
 
     def drive(self, torques: Mapping[str, float]) -> None:
         """Apply torques [N·m] at the output shafts; of a cylinder a force [N], by its lever now."""
-        controls, cylinders = self.data.ctrl, self._cylinders
+        controls, cylinders = self._controls, self._cylinders
         for motor, (index, place, _) in self._shafts.items():
             torque = torques.get(motor, 0.0)
             if motor in cylinders:
@@ -303,19 +304,28 @@ class SimulatedScene:
         if (mounted := self._mounted.get(mount)) is None:
             mounted = np.array([mount.x, mount.y, mount.z]), np.array(mount.rotation())
             self._mounted[mount] = mounted
-        place: Floats = self._base_place + np.dot(self._base_axes, mounted[0])
-        return place, np.dot(self._base_axes, mounted[1])
+        axes = self._base_axes
+        return self._base_place + axes.dot(mounted[0]), axes.dot(mounted[1])
 
     def rays(self, mount: Mount, directions: Floats, farthest: float) -> Floats:
         """Return the lengths [m] of beams from a mount, at the beginning of the last step.
 
         `directions`: n × 3 unit vectors in the sensor's frame. `farthest` where they hit nothing."""
-        data, count = self.data, len(directions)
+        found = np.empty(len(directions))
+        self.cast(mount, directions, farthest, found)
+        return cut(found, farthest)
+
+    def cast(self, mount: Mount, directions: Floats, farthest: float, into: Floats) -> None:
+        """Write the lengths of the same beams to an array, as `cut` takes them."""
+        count = len(into)
         origin, axes = self.frame(mount)
-        turned = np.dot(directions, axes.T).ravel()
-        geoms, found = np.empty(count, dtype=np.int32), np.empty(count)
+        turned = directions.dot(axes.T).ravel()
+        hit = np.empty(count, dtype=np.int32)
         self._mj_multi_ray(
-            self.model, data, origin, turned, SOLIDS, True, -1, geoms, found, None, count, farthest
+            self.model, self.data, origin, turned, SOLIDS, True, -1, hit, into, None, count, farthest
         )
-        found[found < 0.0] = farthest
-        return np.minimum(found, farthest, out=found)
+
+
+def cut(found: Floats, farthest: float) -> Floats:
+    """Return lengths [m] of beams as MuJoCo has found them: `farthest` of those that hit nothing nearer."""
+    return np.where(found < 0.0, farthest, np.minimum(found, farthest))

@@ -17,7 +17,7 @@ from brain.perception.mount import Mount
 from gateway.sim.camera import CameraSensor
 from gateway.sim.files import STEP, Vector
 from gateway.sim.plant_files import InertialUnit, Lidar, PlantFile, Receiver, ShaftEncoder
-from gateway.sim.scene import Floats, SimulatedScene
+from gateway.sim.scene import Floats, SimulatedScene, cut
 from protocols.messages import SECOND, Fix, Imu, LaserScan, Measurement, Nanos, ShaftReading
 
 EARTH_RADIUS, EARTH_SQUARE = 6_378_137.0, 6.694_379_990_141e-3
@@ -68,42 +68,41 @@ class LidarSensor:
         self._first = math.pi if file.clockwise else -math.pi
         angles = self._first + self._increment * np.arange(file.beams)
         self._directions: Floats = np.stack([np.cos(angles), np.sin(angles), np.zeros(file.beams)], axis=1)
-        self._true: Floats = np.zeros(file.beams)
+        self._found: Floats = np.zeros(file.beams)
 
     def measure(self, t: Nanos, phase: Nanos, scene: SimulatedScene) -> LaserScan | None:
         """Measure the beams of this time step; return the scan with the last of them, or these."""
-        beams, period = self.file.beams, self.period
-        first, end = 0, beams if phase == 0 else 0
-        if self.file.sweep:
-            first, end = (-(-at * beams // period) for at in (phase, phase + STEP))
-        if first < end:
-            directions = self._directions[first:end]
-            self._true[first:end] = scene.rays(self.mount, directions, self.file.range_max)
-        if first < end and self.file.clockwise:
-            return self._part(t - phase, first, end)
-        if not first < end == beams:
+        file, period = self.file, self.period
+        beams = file.beams
+        if file.sweep:
+            first, end = -(-phase * beams // period), -(-(phase + STEP) * beams // period)
+        else:
+            first, end = 0, beams if phase == 0 else 0
+        if first == end:
             return None
-        duration = (beams - 1) * period // beams if self.file.sweep else 0
-        return self._scan(t - phase, self._true, duration)
+        scene.cast(self.mount, self._directions[first:end], file.range_max, self._found[first:end])
+        if file.clockwise:
+            return self._part(t - phase, first, end)
+        if end != beams:
+            return None
+        duration = (beams - 1) * period // beams if file.sweep else 0
+        found = tuple(self._read(self._found).tolist())
+        return LaserScan(self.name, t - phase, self._first, self._increment, *self._limits, found, duration)
 
     def _part(self, start: Nanos, first: int, end: int) -> LaserScan:
         """Return beams of a turn that began at a time, counter-clockwise: the newest one first."""
         times = [start + at * self.period // self.file.beams for at in (first, end - 1)]
-        found = self._read(self._true[first:end])[::-1]
+        found = self._read(self._found[first:end])[::-1]
         limits, angle = self._limits, self._first + self._increment * (end - 1)
         duration = times[0] - times[1]
         return LaserScan(
             self.name, times[1], angle, -self._increment, *limits, tuple(found.tolist()), duration
         )
 
-    def _scan(self, t: Nanos, true: Floats, duration: Nanos) -> LaserScan:
-        """Return a scan of these true ranges."""
-        found = tuple(self._read(true).tolist())
-        return LaserScan(self.name, t, self._first, self._increment, *self._limits, found, duration)
-
-    def _read(self, true: Floats) -> Floats:
-        """Return true ranges as measured. 0.0 is no reading, as of what is nearer than range_min."""
+    def _read(self, found: Floats) -> Floats:
+        """Return ranges as measured. 0.0 is no reading, as of what is nearer than range_min."""
         file = self.file
+        true = cut(found, file.range_max)
         ranges = true + file.noise * self._rng.standard_normal(len(true))
         if file.resolution:
             ranges = np.round(ranges / file.resolution) * file.resolution

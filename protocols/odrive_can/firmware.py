@@ -54,9 +54,12 @@ FOLLOWED: Mapping[int, tuple[bool, bool, bool]] = {
 }
 """Whether each input mode follows position, velocity and torque. (ODrive@f9b5419
 `MotorControl/controller.cpp` update.)"""
+# Looked up once: a look at a member of an enumeration takes five times as long as one at a name.
+PASSTHROUGH, TRAP_TRAJ = InputMode.PASSTHROUGH, InputMode.TRAP_TRAJ
+TORQUE, VELOCITY, POSITION = ControlMode.TORQUE, ControlMode.VELOCITY, ControlMode.POSITION
 COMMANDS: Sequence[Callable[..., msg.Command]] = (msg.Idle, msg.Torque, msg.Velocity, msg.Position)
 """By control mode."""
-TO_A_POSITION = (InputMode.POS_FILTER, InputMode.TRAP_TRAJ)
+TO_A_POSITION = (InputMode.POS_FILTER, TRAP_TRAJ)
 NOT_A_NUMBER = "MODULATION_IS_NAN"
 INPUT_FAULTS = ("INVALID_MIRROR_AXIS", "INVALID_INPUT_MODE", NOT_A_NUMBER)
 """The errors of mode and inputs in closed loop, by their names in 0.5.x."""
@@ -106,9 +109,9 @@ class Memory:
     def control(self) -> ControlMode:
         """The outermost loop: voltage control is torque control, and what is above the last is the last. A
         trajectory ends in position control, and a filter leads to a position, whatever the control mode."""
-        if self.input_mode in TO_A_POSITION or self.control_mode >= ControlMode.POSITION:
-            return ControlMode.POSITION
-        return ControlMode.TORQUE if self.control_mode <= ControlMode.TORQUE else ControlMode.VELOCITY
+        if self.input_mode in TO_A_POSITION or self.control_mode >= POSITION:
+            return POSITION
+        return TORQUE if self.control_mode <= TORQUE else VELOCITY
 
     @property
     def fault(self) -> str:
@@ -129,10 +132,10 @@ class Memory:
     def _inputs(self, control: ControlMode) -> Sequence[float]:
         """Return the inputs that control and input mode follow, in the order of a command's fields."""
         inputs: tuple[float, ...] = (self.position or 0.0, self.velocity, self.torque)
-        if self.input_mode != InputMode.PASSTHROUGH:  # which follows all of them
+        if self.input_mode != PASSTHROUGH:  # which follows all of them
             followed = zip(inputs, FOLLOWED.get(self.input_mode, ()), strict=False)
             inputs = tuple(value if follows else 0.0 for value, follows in followed)
-        return inputs[ControlMode.POSITION - control :]
+        return inputs[POSITION - control :]
 
     def _command(self) -> Sequence[Obeyed]:
         """Return the command that mode and inputs amount to now; none if they change nothing. While it is not
@@ -143,11 +146,11 @@ class Memory:
         if fault and (self.armed or fault != NOT_A_NUMBER):
             self.disarm()
             return (msg.Idle(self.motor),)
-        if not FOLLOWED[self.input_mode][ControlMode.POSITION - control]:
+        if not FOLLOWED[self.input_mode][POSITION - control]:
             return ()
         *turns, torque = inputs
         goal: msg.Command = msg.Hold(self.motor)
-        if control is not ControlMode.POSITION or self.position is not None:
+        if control is not POSITION or self.position is not None:
             goal = COMMANDS[control](self.motor, *[each * math.tau for each in turns], torque)
         return (goal,) if self.armed else waiting(goal)
 
@@ -216,7 +219,7 @@ class Memory:
         the position, which is the present one."""
         self.control_mode = int(values.get("Control_Mode", self.control_mode))
         self.input_mode = int(values.get("Input_Mode", self.input_mode))
-        taken = "Control_Mode" in values and self.control_mode >= ControlMode.POSITION
+        taken = "Control_Mode" in values and self.control_mode >= POSITION
         self.position = values.get("Input_Pos", None if taken else self.position)
         self.velocity = values.get("Input_Vel", self.velocity)
         self.torque = values.get("Input_Torque", self.torque)
@@ -251,8 +254,8 @@ class Memory:
     def _set_mode(self, control_mode: int, input_mode: int) -> Sequence[Obeyed]:
         """Apply a mode: position control takes the present position as its input, even if it was on already
         (ODrive@f9b5419 `can_simple.cpp`, `controller.cpp` control_mode_updated); a trajectory goes on."""
-        goes_on = self.input_mode == input_mode == InputMode.TRAP_TRAJ
-        if control_mode >= ControlMode.POSITION and not goes_on:
+        goes_on = self.input_mode == input_mode == TRAP_TRAJ
+        if control_mode >= POSITION and not goes_on:
             self.position = None
         self.control_mode, self.input_mode = control_mode, input_mode
         modes = {"Control_Mode": control_mode, "Input_Mode": input_mode}

@@ -24,6 +24,8 @@ from protocols.toolkit.servo import Encoder, PowerStage, Trapezoid, clamp, lag
 LOOP_RATE = 8000.0  # Cycles of the firmware's control loop per second.
 INTEGRATOR_DECAY = 0.99
 TEMPERATURE_MARGIN = 5.0  # K above the upper limit at which a thermistor's error is raised.
+# Looked up once: a look at a member of an enumeration takes five times as long as one at a name.
+VELOCITY, POSITION = ControlMode.VELOCITY, ControlMode.POSITION
 GAINS: dict[str, tuple[str, ...]] = {
     "Set_Limits": ("vel_limit", "current_soft_max"),
     "Set_Traj_Vel_Limit": ("trap_vel_limit",),
@@ -156,22 +158,23 @@ class Servo:
         """Find the torque. True if the shaft turns too fast."""
         settings, gains, velocity = self.settings, self.gains, self.encoder.velocity
         wanted = self.set_point.velocity
-        if mode == ControlMode.POSITION:
+        if mode == POSITION:
             wanted += gains["pos_gain"] * (self.set_point.position - self.encoder.position)
-        wanted = clamp(wanted, gains["vel_limit"])
+        fastest = gains["vel_limit"]
+        wanted = clamp(wanted, fastest)
         tolerance = settings.vel_limit_tolerance
-        if tolerance and abs(velocity) > tolerance * gains["vel_limit"]:
+        if tolerance and abs(velocity) > tolerance * fastest:
             return True
         torque, error = self.torque_set_point, 0.0
-        if mode >= ControlMode.VELOCITY:
+        if mode >= VELOCITY:
             error = wanted - velocity
             torque += gains["vel_gain"] * error + self.integrator
         elif settings.enable_torque_mode_vel_limit:
-            highest = (gains["vel_limit"] - velocity) * gains["vel_gain"]
-            lowest = (-gains["vel_limit"] - velocity) * gains["vel_gain"]
+            highest = (fastest - velocity) * gains["vel_gain"]
+            lowest = (-fastest - velocity) * gains["vel_gain"]
             torque = max(lowest, min(highest, torque))
         self.torque_target = clamp(torque, self.current_limit() * settings.torque_constant)
-        if mode < ControlMode.VELOCITY:
+        if mode < VELOCITY:
             self.integrator = 0.0
         elif self.torque_target != torque:
             self.integrator *= INTEGRATOR_DECAY ** (dt * LOOP_RATE)

@@ -192,7 +192,7 @@ class TwinBus:
             self._deliver_promptly(until)
             return
         for wire in self._wires:
-            if wire.pending:
+            if wire.pending and until >= wire.nothing_before:
                 for transmission in wire.run(until):
                     self._arrive(transmission)
         while self._late and self._late[0][0] <= until:

@@ -51,24 +51,26 @@ class Medium:
         self.pending = 0
         """Frames that have not arrived yet."""
         self._idle_at: Nanos | None = None
-        self._nothing_before: Nanos = 0
+        self.nothing_before: Nanos = 0
         """Nothing arrives before, unless something is queued or dropped."""
 
     def send(self, t: Nanos, sender: str, frame: Frame) -> bool:
         """Queue a frame. False if the sender's queue was full and its oldest frame was dropped instead.
 
         A sender in bus-off sends nothing."""
-        queue = self._waiting.setdefault(sender, deque())
-        if self.errors.get(sender, 0) >= BUS_OFF:
+        queue = self._waiting.get(sender)
+        if queue is None:
+            queue = self._waiting[sender] = deque()
+        if self.errors and self.errors.get(sender, 0) >= BUS_OFF:
             return True
         full = len(queue) >= self.limit
         if full:
             queue.popleft()
-        if isinstance(frame, CanFrame):
+        if isinstance(frame, CanFrame) and frame.fd:
             frame = padded(frame)
         queue.append(Transmission(t, sender, frame))
         self.pending += not full
-        self._nothing_before = 0
+        self.nothing_before = 0
         return not full
 
     def waiting(self, sender: str) -> int:
@@ -79,7 +81,7 @@ class Medium:
         """Drop all that waits of a sender, and let it begin anew."""
         self.pending -= len(self._waiting.pop(sender, ()))
         self.errors.pop(sender, None)
-        self._nothing_before = 0
+        self.nothing_before = 0
 
     def first_end(self) -> Nanos | None:
         """Return when the next frame of a serial line ends; None if nothing is sent."""
@@ -93,14 +95,14 @@ class Medium:
     def run(self, until: Nanos) -> list[Transmission]:
         """Return all that arrives up to a time, in order."""
         arrived: list[Transmission] = []
-        while self.pending and until >= self._nothing_before:
+        while self.pending and until >= self.nothing_before:
             heads = [queue[0] for queue in self._waiting.values() if queue]
-            first = min([head.t for head in heads])
+            winner = heads[0]
+            first = winner.t if len(heads) == 1 else min([head.t for head in heads])
             start = first if self._idle_at is None else max(first, self._idle_at)
             if start > until:
-                self._nothing_before = start
+                self.nothing_before = start
                 break
-            winner = heads[0]
             if len(heads) > 1:
                 contending = [head for head in heads if head.t <= start]
                 winner = min(contending, key=lambda head: (priority(head.frame), head.t))
@@ -108,7 +110,7 @@ class Medium:
             serial = isinstance(winner.frame, bytes)
             end = start + taken - (0 if serial else INTERFRAME_BITS * SECOND // self.bitrate)
             if end > until:
-                self._nothing_before = end
+                self.nothing_before = end
                 break
             if self.destroyed is not None and not serial and (bits := self.destroyed(winner)):
                 taken = min(bits * SECOND // self.bitrate, taken) + ERROR_FRAME_BITS * SECOND // self.bitrate
