@@ -350,7 +350,7 @@ class Navigator:
         self._watch.use(result)
         end, length = result.points[-1], self._watch.line.length
         if isinstance(result, Path):
-            self.note("info", f"path: {length:.2f} m to ({end[0]:.2f}, {end[1]:.2f})")
+            self.note("info", f"path: {length:.2f} m to ({end[0]:z.2f}, {end[1]:z.2f})")
         elif not isinstance(before, FrontierPath):
             self.note("info", f"exploring: no known path to {self.goals.name}")
         if result.escape > 0.0:

@@ -82,7 +82,7 @@ class PathWatch:
             end = line.straight(self.checked, 2.0)
             a, b = line.point(self.checked), line.point(end)
             if is_blocked(costmap, a, b, NEAR) or not footprint.fits_either_way(costmap, a, b):
-                near = f"({b[0]:.2f}, {b[1]:.2f})"
+                near = f"({b[0]:z.2f}, {b[1]:z.2f})"
                 if wait and crosses(b, moving):
                     self.crossing, self.crossing_until = f"someone crosses the path near {near}", wait
                     self.checked = line.length

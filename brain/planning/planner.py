@@ -385,4 +385,4 @@ def _too_near(ground: Snapshot, goal: Point) -> str:
 
 
 def _text(point: Point) -> str:
-    return f"({point[0]:.2f}, {point[1]:.2f})"
+    return f"({point[0]:z.2f}, {point[1]:z.2f})"

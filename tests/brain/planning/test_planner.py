@@ -123,6 +123,8 @@ def test_no_path_has_a_reason() -> None:
     closed[:, 30] = True
     found = plan(PlainMap(closed), (0.0, 0.0), (4.0, 0.0))
     assert found == NoPath("everything between (0.00, 0.00) and the goal (4.00, 0.00) is closed")
+    again = plan(PlainMap(closed), (0.0, -0.001), (4.0, 0.0))
+    assert again == found  # a pose that varies about zero says nothing new
 
 
 def test_for_a_goal_too_near_to_a_wall_the_reason_gives_the_nearest_that_fits() -> None:
