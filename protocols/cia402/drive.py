@@ -236,7 +236,10 @@ class Drive:
         frames = [] if self.nmt.operational else self.nmt.start(now, self.address)
         if self.output.synchronous and not at_sync:
             return frames
-        return frames + self._setpoints(now, command)
+        frames = frames + self._setpoints(now, command)
+        if not self.nmt.operational:
+            self.output.sent.clear()  # a drive takes no PDO before (CiA 301, NMT): all of them go out again
+        return frames
 
     def _setpoints(self, now: Nanos, command: Command) -> list[CanFrame]:
         wanted, failure = self.steering.step(now, command, self.known, self.reported)

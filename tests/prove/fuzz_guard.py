@@ -34,6 +34,8 @@ VELOCITY = 1.15
 SPRING = 1.25
 """Share of the limit of torque."""
 LATELY = 20 * MILLISECOND
+LOOPS = (msg.Velocity, msg.Position, msg.Hold)
+"""Commands that a device's own loops do"""
 SETTLED = 0.4
 """s after which nothing drives a shaft whose command is Idle"""
 DRIVEN = 0.05
@@ -170,8 +172,10 @@ def _bring_back(bench: Bench, rest: Sequence[Command]) -> None:
 def _is_told_torque(bench: Bench) -> bool:
     """Whether the device was told only torques and springs of late: its own loops have their limits."""
     told = bench.gateway.guard._last
-    loops = [at for (_, kind), (at, _) in told.items() if kind in (msg.Velocity, msg.Position, msg.Hold)]
-    return ("left", None) in told and all(bench.clock.now() - at > LATELY for at in loops)
+    loops = [at for (_, kind), (at, _) in told.items() if kind in LOOPS]
+    last = told.get(("left", None))
+    goes_on = last is None or isinstance(last[1], LOOPS)  # however old it is, as where each SYNC is blocked
+    return not goes_on and all(bench.clock.now() - at > LATELY for at in loops)
 
 
 def _hostile(bench: Bench, motor: str, random: Random) -> Hostile:

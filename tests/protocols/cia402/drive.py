@@ -93,10 +93,13 @@ class Drive:
         """Or failed, or never."""
         self.deaf_to_nmt = 0
         """NMT commands that are lost."""
+        self.started_late = 0
+        """ms after which it obeys an NMT command."""
         self.resets = 1
         """Fault resets that it needs."""
         self._rejected: dict[tuple[tuple[int, int] | int, int | None], int] = {}
         self._sending: list[tuple[int, Frame]] = []
+        self._late: list[tuple[int, CanFrame]] = []
         self._requests: list[CanFrame] = []
         """The first one is being served."""
         self._served_at = 0
@@ -245,6 +248,8 @@ class Drive:
             return
         if frame.id == 0 and self.deaf_to_nmt:
             self.deaf_to_nmt -= 1
+        elif frame.id == 0 and self.started_late:
+            self._late.append((self._ms + self.started_late, frame))
         elif frame.id == 0x600 + self.node and self.slow:
             if not self._requests:
                 self._served_at = self._ms + self.slow
@@ -275,6 +280,8 @@ class Drive:
         if self.dead:
             self.slave.take_sent()
             return []
+        while self._late and self._late[0][0] <= self._ms:
+            self._handle(self._late.pop(0)[1])
         self._serve()
         self._obey()
         self._report(

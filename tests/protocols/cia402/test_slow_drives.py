@@ -9,7 +9,7 @@ from math import tau
 import pytest
 
 from protocols.messages import Fault, Idle, Velocity
-from tests.protocols.cia402.bus import Bus, motor
+from tests.protocols.cia402.bus import BEGIN, Bus, motor
 from tests.protocols.cia402.drive import Drive
 from tests.sampled import sampled
 
@@ -56,3 +56,17 @@ def test_confirmations_that_come_once_more_do_not_count_for_later_requests(echo:
     bus.run(50, Velocity("m", 0.0))
     assert drive.get(0x60FF) == 0
     assert not [event for event in bus.events if isinstance(event, Fault)]
+
+
+@pytest.mark.parametrize("state", ["SWITCH ON DISABLED", "READY TO SWITCH ON", "SWITCHED ON"])
+@pytest.mark.parametrize("late", [0, 3, 8, 25])
+def test_what_a_drive_was_sent_before_it_was_operational_is_sent_again(late: int, state: str) -> None:
+    """Defect: the velocity offset that somebody had left in a drive that was switched on was added to the
+    first set-points: its zero had gone out with the NMT start, which the drive had not obeyed yet."""
+    bus, drive = started(started_late=late)
+    drive.put(0x60B1, 0, 100_000)
+    drive.change(f'stands "{state}" 9')
+    while not drive.enabled():
+        bus.run(1, *([Velocity("m", 0.0)] if bus.ms % 10 == 0 else []))
+        assert bus.ms < BEGIN + STARTED_MS + ARMED_MS
+    assert drive.get(0x60B1) == 0
