@@ -35,8 +35,11 @@ NEAR, SPREAD, BEYOND = 0.6, 0.05, 0.2
 """m; farther than what was there, by the last, another beam ends"""
 GONE, TURNED = 0.4, 0.8
 """m, rad"""
-ABOUT = 0.1
-"""rad to each side of a place, within which all beams must go on beyond"""
+ABOUT, ON_THE_SPOT = 0.1, 0.5
+"""rad to each side of a place, within which all beams must go on beyond; more by what the wheels say that it
+has turned since, for they may slip; of a turn on the spot by this share"""
+PER_SIDE = 6
+"""Beams that are looked at to each side"""
 WIDE, NARROW, FEW = 0.17, 0.1, 5
 """rad: least share of the view that is frozen, or hanging; and beams"""
 SECTOR = 0.7
@@ -139,10 +142,12 @@ class Beams:
         first, where = np.where(stays, before.first, now.ranges), np.where(stays, before.where, now.where)
         x, y, from_x, from_y, from_yaw = where
         place = now.place
-        gone = np.hypot(place.x - from_x, place.y - from_y) > GONE
-        gone |= np.abs(place.yaw - from_yaw) > TURNED
-        gone &= stays & self._outside(mount, beams, now.ranges)
-        gone[gone] = _seen_beyond(x[gone] - place.x, y[gone] - place.y, place.yaw, beams, scan, ranges)
+        went = np.hypot(place.x - from_x, place.y - from_y) > GONE
+        turned = np.abs(place.yaw - from_yaw)
+        gone = (went | (turned > TURNED)) & stays & self._outside(mount, beams, now.ranges)
+        about = (ABOUT + turned * np.where(went, 1.0, ON_THE_SPOT))[gone]
+        x, y = x[gone] - place.x, y[gone] - place.y
+        gone[gone] = _seen_beyond(x, y, place.yaw, about, beams, scan, ranges)
         return replace(now, first=first, where=where, hangs=stays & (before.hangs | gone))
 
     def _outside(self, mount: Mount, beams: Floats, ranges: Floats) -> Bools:
@@ -166,10 +171,13 @@ def _where(place: Pose, beams: Floats, ranges: Floats) -> Floats:
     return np.stack([*ends, *(np.full(len(x), each) for each in (place.x, place.y, place.yaw))])
 
 
-def _seen_beyond(dx: Floats, dy: Floats, yaw: float, beams: Floats, scan: LaserScan, ranges: Floats) -> Bools:
-    """Return at which points, from the lidar, a beam passes and goes on beyond; `yaw`: of the robot."""
+def _seen_beyond(
+    dx: Floats, dy: Floats, yaw: float, about: Floats, beams: Floats, scan: LaserScan, ranges: Floats
+) -> Bools:
+    """Return at which points, from the lidar, beams pass and go on beyond, all within an angle `about` each
+    [rad]; `yaw`: of the robot."""
     first, count = math.atan2(beams[1, 0], beams[0, 0]), len(ranges)
-    beside = np.linspace(-ABOUT, ABOUT, 5)
+    beside = np.linspace(-1.0, 1.0, 2 * PER_SIDE + 1) * about[:, None]
     angles = _sense(beams) * (np.arctan2(dy, dx) - yaw - first)[:, None] + beside
     numbers = np.rint(angles % math.tau / scan.angle_increment).astype(np.intp)
     looked = numbers < count

@@ -34,6 +34,8 @@ class Room:
     fault: Fault = field(default=lambda _room, true: true)
     person: tuple[float, float] | None = None
     """m, in the room"""
+    slips: float = 0.0
+    """rad by which the wheels say more than it turns, with each scan"""
 
     def __post_init__(self) -> None:
         self.beams, self.noise = Beams(OUTLINE, 0.0), np.random.default_rng(1)
@@ -60,7 +62,8 @@ class Room:
         scan = LaserScan(
             "lidar", self.n * PERIOD, ANGLES[0], 2.0 * math.pi / COUNT, 0.1, FAR, tuple(ranges.tolist())
         )
-        return self.beams.observe(scan, ranges, self.mount, self.pose)
+        told = Pose(self.pose.x, self.pose.y, self.pose.yaw + self.n * self.slips)
+        return self.beams.observe(scan, ranges, self.mount, told)
 
     def drive(self, scans: int, linear: float, angular: float) -> list[str]:
         """Drive at m/s and rad/s; return what each scan shows."""
@@ -145,3 +148,12 @@ def test_who_stands_or_goes_past_shows_nothing() -> None:
     for n in range(30):
         room.person = (0.9, 0.3 - 1.5 * 0.1 * n)
         assert not any(room.drive(1, 0.2, 0.5))
+
+
+@pytest.mark.parametrize("slips", [-0.08, -0.05, 0.05, 0.08])
+def test_a_wall_beside_a_base_whose_wheels_slip_does_not_hang_before_the_lidar(slips: float) -> None:
+    """Defect: the end of a beam was looked for where the wheels had it, and there one could see beyond. What
+    hung stood for ever, since the base did."""
+    room = Room(slips=slips)
+    room.pose = Pose(-2.0, -2.0, 0.0)
+    assert not any(room.drive(50, 0.6, 0.0))
