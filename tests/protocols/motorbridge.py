@@ -114,12 +114,12 @@ def connected(bench: Bench, *, dm_serial: bool = False) -> Iterator[motorbridge.
         os.close(ours)
 
 
-def set_mode(motor: motorbridge.Motor, mode: motorbridge.Mode) -> None:
-    """Ask for a mode until it is set: motorbridge waits 50 ms for some answers, whatever it is told."""
+def acknowledged(act: Callable[[], object]) -> None:
+    """Do something until it is acknowledged: for some answers motorbridge waits 50 ms, whatever it is told."""
 
     def done() -> bool:
         try:
-            motor.ensure_mode(mode, WAIT_MS)
+            act()
         except CallError:
             return False
         return True
@@ -127,10 +127,15 @@ def set_mode(motor: motorbridge.Motor, mode: motorbridge.Mode) -> None:
     assert eventually(done)
 
 
+def set_mode(motor: motorbridge.Motor, mode: motorbridge.Mode) -> None:
+    """Ask for a mode until it is set."""
+    acknowledged(lambda: motor.ensure_mode(mode, WAIT_MS))
+
+
 def received(bench: Bench, count: int, act: Callable[[], None]) -> list[CanFrame]:
     """Do something, and return the frames that arrive for it, once there are as many as this."""
     before = len(bench.received)
-    act()
+    acknowledged(act)
     assert eventually(lambda: len(bench.received) - before >= count)
     return bench.received[before:]
 

@@ -465,7 +465,7 @@ def test_goal_by_topic_replaces_what_it_does() -> None:
             publishes={"/goal_pose": graph.POSE_STAMPED}, subscribes={"/plan": "nav_msgs/msg/Path"}
         )
         one.ready()
-        peer.publish("/goal_pose", stamped(2.0, 0.0))
+        peer.publish("/goal_pose", stamped(5.6, 1.0))  # so far that it is not there when the next one comes
         one.until(lambda: one.session.belief.goal, "a goal")
         peer.publish("/goal_pose", stamped(1.0, 0.5))
         one.until(lambda: one.session.belief.goal == Goal(1.0, 0.5, 0.0), "another")
