@@ -115,7 +115,7 @@ def connected(bench: Bench, *, dm_serial: bool = False) -> Iterator[motorbridge.
 
 
 def acknowledged(act: Callable[[], object]) -> None:
-    """Do something until it is acknowledged: for some answers motorbridge waits 50 ms, whatever it is told."""
+    """Do something until it is acknowledged: for some answers it waits 50 ms, whatever it is told."""
 
     def done() -> bool:
         try:
