@@ -62,5 +62,5 @@ class Goals:
 
 def text_of(goal: Goal) -> str:
     """Return where a goal is."""
-    yaw = "" if goal.yaw is None else f", yaw {goal.yaw:.2f}"
-    return f"({goal.x:.2f}, {goal.y:.2f}{yaw})"
+    yaw = "" if goal.yaw is None else f", yaw {goal.yaw:z.2f}"
+    return f"({goal.x:z.2f}, {goal.y:z.2f}{yaw})"

@@ -41,7 +41,7 @@ class Going:
 
 
 def _place(seen: Observed) -> str:
-    return "an unknown place" if seen.pose is None else f"({seen.pose.x:.2f}, {seen.pose.y:.2f})"
+    return "an unknown place" if seen.pose is None else f"({seen.pose.x:z.2f}, {seen.pose.y:z.2f})"
 
 
 def _make(given: reading.Given) -> Goal:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast, get_args
+from typing import TypeVar, cast, get_args
 
 from gateway.core.guard import STOPS_WITHIN
 from protocols import messages as msg
@@ -15,6 +15,7 @@ from protocols.plugin import Driver, LineDriver
 IDENTIFY: Nanos = 5 * SECOND
 """Period in which a serial number that is demanded is asked for, until it is known."""
 _EVENTS, _FRAMES = get_args(Event), (CanFrame, bytes)
+_T = TypeVar("_T")
 
 
 class BusDriver:
@@ -48,7 +49,8 @@ class BusDriver:
         self, now: Nanos, messages: Sequence[Command | Request]
     ) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Return the driver's own events, and what it sends; likewise, also if it sends no frames."""
-        events, frames = self.driver.send(now, messages)
+        events, given = self.driver.send(now, messages)
+        frames = _sequence(given)
         for each in frames:
             if not isinstance(each, _FRAMES):
                 raise TypeError(f"send returned {each!r} among the frames, which is none")
@@ -89,7 +91,13 @@ class BusDriver:
 
 def _events(given: Sequence[Event]) -> Sequence[Event]:
     """Return the events that a driver has returned. Raises TypeError if they are none."""
-    for each in given:
+    events = _sequence(given)
+    for each in events:
         if not isinstance(each, _EVENTS):
             raise TypeError(f"{each!r} is returned as an event, which it is not")
-    return given
+    return events
+
+
+def _sequence(given: Sequence[_T]) -> Sequence[_T]:
+    """Return what can be gone through more than once: a generator cannot."""
+    return given if isinstance(given, list | tuple) else tuple(given)

@@ -114,10 +114,10 @@ def is_carmen(path: Path) -> bool:
 
 def _first(file: Any) -> list[str]:  # noqa: ANN401 -- as `_opened` returns it
     """Return the first lines: so many, not counting those of explanation."""
-    lines, said = list[str](), 0
-    while said < LOOKED_AT and len(lines) < LOOKED_AT + EXPLAINED and (line := file.readline(LONGEST)):
+    lines, counted = list[str](), 0
+    while counted < LOOKED_AT and len(lines) < LOOKED_AT + EXPLAINED and (line := file.readline(LONGEST)):
         lines.append(line)
-        said += not _explains(line.split())
+        counted += not _explains(line.split())
     return lines
 
 

@@ -238,7 +238,7 @@ class Drive:
             return frames
         frames = frames + self._setpoints(now, command)
         if not self.nmt.operational:
-            self.output.sent.clear()  # a drive takes no PDO before (CiA 301, NMT): all of them go out again
+            self.output.repeat()  # a drive takes no PDO before (CiA 301, NMT)
         return frames
 
     def _setpoints(self, now: Nanos, command: Command) -> list[CanFrame]:

@@ -264,7 +264,11 @@ class Output:
         """Record that the drive has accepted a value by SDO."""
         self.written[key], self.written_at[key] = value, now
 
+    def repeat(self) -> None:
+        """Send every RPDO again with the next set-points, changed or not."""
+        self.sent.clear()
+
     def forget(self) -> None:
         """Send everything again: what the drive has received is not known."""
         self.written.clear()
-        self.sent.clear()
+        self.repeat()

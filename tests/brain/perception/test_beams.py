@@ -62,8 +62,8 @@ class Room:
         scan = LaserScan(
             "lidar", self.n * PERIOD, ANGLES[0], 2.0 * math.pi / COUNT, 0.1, FAR, tuple(ranges.tolist())
         )
-        told = Pose(self.pose.x, self.pose.y, self.pose.yaw + self.n * self.slips)
-        return self.beams.observe(scan, ranges, self.mount, told)
+        reckoned = Pose(self.pose.x, self.pose.y, self.pose.yaw + self.n * self.slips)
+        return self.beams.observe(scan, ranges, self.mount, reckoned)
 
     def drive(self, scans: int, linear: float, angular: float) -> list[str]:
         """Drive at m/s and rad/s; return what each scan shows."""

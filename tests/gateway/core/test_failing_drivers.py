@@ -11,6 +11,7 @@ import random
 import sys
 from collections.abc import Callable, Iterable
 from itertools import product
+from typing import Any
 
 import pytest
 
@@ -143,6 +144,23 @@ def test_feedback_that_is_not_finite_is_told_once_a_second_not_at_every_step() -
     assert [(each.source, each.text) for each in notes] == [
         ("left", "feedback: refused: its position is nan, and must be finite")
     ]
+
+
+def test_what_a_driver_yields_counts_as_what_it_returns() -> None:
+    """A generator can be gone through once: to look at it must not use it up."""
+    rig = Rig(of_file("diffbot"))
+    (one,) = rig.gateway._drivers
+    receive, send = one.driver.receive, one.driver.send
+
+    def sent(now: int, messages: Any) -> Any:
+        events, frames = send(now, messages)
+        return iter(events), iter(frames)
+
+    one.driver.receive = lambda t, frame: iter(receive(t, frame))  # type: ignore[method-assign,assignment,return-value]
+    one.driver.send = sent  # type: ignore[method-assign]
+    ticks = [*rig.run(0.1), *rig.run(0.3, *(command_of(rig.robot, each) for each in rig.robot.motors))]
+    armed = {note.source for tick in ticks for note in tick.outputs.notes if note.text.startswith("armed")}
+    assert armed == set(rig.robot.motors)
 
 
 def test_a_line_whose_driver_returns_something_else_is_released() -> None:
